@@ -104,7 +104,14 @@ def as_engine(name: str, settings: Mapping[str, Any]) -> Engine:
     if name not in ENGINES:
         raise ValueError(f"engine: expected one of {', '.join(ENGINES)}, got {name!r}")
     _check_names(settings, name)
+    if all(type(value) in (float, int, str) for value in settings.values()):
+        return _engine(ENGINES[name], **settings)
     return ENGINES[name](**settings)
+
+
+@lru_cache(maxsize=64, typed=True)  # so that a system keeps what follows from it and its engine
+def _engine(kind: type[Engine], /, **settings: Any) -> Engine:
+    return kind(**settings)
 
 
 def as_task(

@@ -1,8 +1,9 @@
 """How small deviations move along a run of the exact law: from event to event, and round a cycle.
 
-Between events a deviation x = (dz, dw) moves as x' = A x, A the matrix of the blocks that slip; where friction falls
-with speed, A depends on time, and Magnus' expansion of order six is taken (S. Blanes, F. Casas, J. A. Oteo and
-J. Ros, Phys. Rep. 470 (2009) 151). At an event it is multiplied by the saltation matrix
+Between events a deviation x = (dz, dw) moves as x' = A x, A the matrix of the blocks that slip. Where friction falls
+with speed, A is a polynomial in time through its values at Gauss's nodes of a step, which gives its order (S. Blanes,
+F. Casas, J. A. Oteo and J. Ros, Phys. Rep. 470 (2009) 151, 5.4), and the Taylor series of x are summed.
+At an event it is multiplied by the saltation matrix
 
     S = 1 + (f+ - f-) n / (n f- + dg/dt),    g(x, t) = 0 the event, n its gradient, f-+ = (z', w') before and after
 
@@ -30,10 +31,11 @@ from stickslip.sim.systems.system import System
 
 #: Terms of the exponential series, of matrices up to this size: the next is 1e-16.
 _TERMS, _SIZE = 13, 0.5
-#: Steps where friction falls with speed, over its fastest rate: the error of each is some 1e-10.
-_STEP = 0.1
-#: Nodes of a step, of Gauss.
-_NODES = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
+#: Steps where friction falls with speed, over its fastest rate, and terms of the series of a deviation there.
+_STEP, _ORDER = 0.35, 14
+#: Nodes of a step, of Gauss; from values there to the coefficients of the polynomial through them.
+_NODES = 0.5 + 0.5 * np.polynomial.legendre.leggauss(5)[0]
+_THROUGH = np.linalg.inv(np.vander(_NODES, increasing=True))
 #: Numbers in matrices that are kept at a time.
 _ROOM = 2**21
 #: How large a motion is at least, for ratios of what it consists of to have all their digits.
@@ -57,7 +59,7 @@ class Steps:
     segment : int, shape (q,)
         The edge before each.
     length : float64, shape (q,)
-    t : float64, shape (q, 3)
+    t : float64, shape (q, 5)
         Their nodes.
     """
 
@@ -97,7 +99,7 @@ class Path:
         Of the event at each edge but the last; empty: there are none.
     steps : Steps or None
         Between them, where friction falls with speed.
-    slip : float64, shape (q, 3, n)
+    slip : float64, shape (q, 5, n)
         w - v at the nodes of the steps.
     """
 
@@ -122,7 +124,7 @@ class Path:
         order = np.argsort(times, kind="stable")
         samples, place = follow(times[order]), np.argsort(order, kind="stable")
         z, w = samples.z[place], samples.w[place]
-        slip = (w[2 * m + 1 :] - system.belt_speed_at(edges[0])).reshape(-1, 3, system.n)
+        slip = (w[2 * m + 1 :] - system.belt_speed_at(edges[0])).reshape(-1, len(_NODES), system.n)
         states, halfway = (Samples(times[part], z[part], w[part]) for part in (slice(m + 1), slice(m + 1, 2 * m + 1)))
         return cls(unit, modes, states, halfway, events.block[:m], steps, slip)
 
@@ -243,30 +245,34 @@ class Path:
                 part = slice(first, first + at_a_time)
                 yield from exponential(_held(matrix, self.modes[1:][part]) * lengths[part, None, None])
             return
-        matrix, of = self.system.slip_matrix(), self.steps.segment
+        of = self.steps.segment
         is_last, flow, first = np.append(of[1:] != of[:-1], True), np.identity(2 * n), 0
         while first < len(of):
             part = slice(first, first + at_a_time)
-            steps, ends = exponential(self._magnus(matrix, part, self.steps)), np.flatnonzero(is_last[part]) + 1
+            steps, ends = self._carried(part, self.steps), np.flatnonzero(is_last[part]) + 1
             for batch in filter(len, np.split(steps, ends)):
                 flow, first = _product(batch) @ flow, first + len(batch)
                 if is_last[first - 1]:
                     yield flow
                     flow = np.identity(2 * n)
 
-    def _magnus(self, matrix: Floats, part: slice, steps: Steps) -> Floats:
-        """The exponents of some steps, shape (q, 2n, 2n)."""
-        n, modes = self.system.n, self.modes[1:][steps.segment[part]]
-        drag = self.system.kinetic_slope(self.slip[part]) * (modes != 0)[:, np.newaxis]
-        a = np.repeat(_held(matrix, modes)[:, np.newaxis], 3, axis=1)
-        own = n + np.arange(n)
-        a[:, :, own, own] -= drag
-        a *= steps.length[part, None, None, None]
-        one, two = a[:, 1], np.sqrt(15) / 3 * (a[:, 2] - a[:, 0])
-        three = 10 / 3 * (a[:, 2] - 2 * a[:, 1] + a[:, 0])
-        c = _commutator(one, two)
-        d = _commutator(one, 2 * three + c) / -60
-        return one + three / 12 + _commutator(c - 20 * one - three, two + d) / 240
+    def _carried(self, part: slice, steps: Steps) -> Floats:
+        """Deviations over some steps, by their series, shape (q, 2n, 2n)."""
+        s, n, length = self.system, self.system.n, steps.length[part, None, None]
+        slips, springs = (self.modes[1:][steps.segment[part]] != 0)[:, :, None], s.slip_matrix()[n:, :n]
+        drags = np.moveaxis(_THROUGH @ s.kinetic_slope(self.slip[part]), 1, 0)[..., None]
+        total = np.tile(np.identity(2 * n), (len(length), 1, 1))
+        z, of_w = total[:, :n], [total[:, n:].copy()]
+        for order in range(1, _ORDER + 1):
+            pull = springs @ z - s.damping_force(of_w[-1].swapaxes(1, 2)).swapaxes(1, 2)
+            for drag, w in zip(drags, of_w[::-1], strict=False):
+                pull -= drag * w
+            share = length / order
+            z, w = share * of_w[-1], share * slips * pull
+            of_w.append(w)
+            total[:, :n] += z
+            total[:, n:] += w
+        return total
 
 
 def _row(matrix: Any, i: int) -> Floats:
@@ -327,7 +333,3 @@ def _held(matrix: Floats, modes: NDArray[np.int8]) -> Floats:
     matrices = np.repeat(matrix[np.newaxis], len(modes), axis=0)
     matrices[:, n:][modes == 0] = 0.0
     return matrices
-
-
-def _commutator(a: Floats, b: Floats) -> Floats:
-    return a @ b - b @ a

@@ -26,6 +26,7 @@ from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING
 from stickslip.sim.systems.drive import Harmonic, Piecewise
+from stickslip.sim.systems.once import once_a_system
 from stickslip.sim.systems.system import System
 
 #: The rounding of a time or a phase, over that of a sum.
@@ -144,19 +145,18 @@ class Drive:
         The largest frequency of a force.
     """
 
+    forcing = Forcing.none()
+    fastest, is_instant, ahead, instant = 0.0, False, 0.0, 0.0
+    _gains, _is_carried = _NOTHING, False
+
     def __init__(self, system: System, t_start: float, t_end: float, orders: int) -> None:
-        n = system.n
-        self._system, self._moves = system, isinstance(system.belt_speed, Piecewise)
-        self.belt_speed = np.empty(n)
-        self.belt_speed[:] = system.belt_speed.at(t_start) if self._moves else system.belt_speed
-        self._gains, self._is_carried = _NOTHING, False
-        self._starts, self._ends = list[float](), list[float]()
-        self.forcing = Forcing.none()
-        self.fastest, self.is_instant, self.ahead, self.instant = 0.0, False, 0.0, 0.0
+        self._system, self._starts, self._ends = system, list[float](), list[float]()
+        self._moves = isinstance(system.belt_speed, Piecewise)
         if not (self._moves or system.force):
-            self._next = iter([(t_end, True)])
+            self.belt_speed, self._next = _constant_belt(system), iter([(t_end, True)])
             self._enter(t_start)
             return
+        n, self.belt_speed = system.n, np.array(system.belt_speed_at(t_start))
         self._bends = [term for term in system.force if isinstance(term, Piecewise)]
         self._waves = [term for term in system.force if isinstance(term, Harmonic)]
         amplitude, frequency = (
@@ -267,6 +267,11 @@ class Drive:
                 yield start + (end - start) * (part / parts), False
             yield end, k == len(ends) - 1
             start = end
+
+
+@once_a_system
+def _constant_belt(system: System) -> Floats:
+    return np.array(system.belt_speed_at(0.0))
 
 
 def times(start: float | Floats, end: float | Floats, s: float | Floats) -> Floats:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
+from threading import get_ident
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -83,6 +84,12 @@ class Events(NamedTuple):
 _NOTHING = Events.blank(0)
 
 
+@lru_cache(maxsize=8)
+def _buffers(capacity: int, thread: int) -> Events:
+    """Those that runs of a thread share: for a small system they take longer to make than a run."""
+    return Events.blank(capacity)
+
+
 class Buffers(NamedTuple):
     """The times of samples, shape (m,), and buffers for them, shape (m, n)."""
 
@@ -114,8 +121,10 @@ class State(NamedTuple):
         )
         z, w = np.array([[task.z0 for task in tasks], [task.w0 for task in tasks]])
         (m, n), first = mode.shape, tasks[0].samples
-        sampled = (first.z[np.newaxis], first.w[np.newaxis]) if len(first) else np.empty((2, m, 0, n))
-        samples = Buffers(np.full((m, len(first)), np.inf), *sampled)
+        if len(first):
+            samples = Buffers(np.full((m, len(first)), np.inf), first.z[np.newaxis], first.w[np.newaxis])
+        else:
+            samples = Buffers(np.empty((m, 0)), *np.empty((2, m, 0, n)))
         return cls(z, w, mode, clock, np.zeros((m, N_COUNTERS), np.int64), samples)
 
 
@@ -324,7 +333,9 @@ class _Recorded:
 
     def _begin(self) -> Events:
         self._full = self._all()
-        self._events, self._n, self._n_all_stuck = Events.blank(2 * self._capacity), 0, 0
+        # no run outlives another of its thread, and what is returned of the first buffers is copied
+        blank = Events.blank(2 * self._capacity) if self._full else _buffers(2 * self._capacity, get_ident())
+        self._events, self._n, self._n_all_stuck = blank, 0, 0
         self._counters[N_ALL_STUCK] = 0
         return self._events
 

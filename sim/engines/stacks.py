@@ -22,12 +22,14 @@ from stickslip.sim.engines import certificates, loop
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.forcing import Drive, times
 from stickslip.sim.engines.loop import Begun, Events, State
-from stickslip.sim.kernels.compile import inner
+from stickslip.sim.kernels.compile import code_of, inner
 from stickslip.sim.kernels.emit import IS_COMPILED
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run, Stills
 from stickslip.sim.runs.series import EventSeries
 
+#: By kernel, its code for plain systems.
+_CODE: dict[Any, Any] = {}
 #: Why the first slice of a run ended: others left no room for it, and it is to begin anew alone.
 _ANEW = -1
 
@@ -150,6 +152,8 @@ class Several(ABC):
     initial_modes : int8, shape (runs, definitions of sticking, n)
     stalled, events_a_step, tells_touches, method
         As of `loop.Plan`.
+    is_of_one_type : bool
+        Whether all arrays have the types that they have for any plain system.
     """
 
     tasks: Sequence[Task]
@@ -166,6 +170,7 @@ class Several(ABC):
     events_a_step: int
     tells_touches: bool = False
     method: str = ""
+    is_of_one_type: bool = False
 
     @cached_property
     def _slips(self) -> NDArray[np.int64]:
@@ -188,7 +193,11 @@ class Several(ABC):
         drive = self.drives[first]
         self.lengths[first] = drive.length
         stack = Stack(self.models, self.work, self.goal(drive), self.states, self._slips, self.events_a_step)
-        type(self).kernel(stack, events, self.collapse[first].precheck, first, slices)
+        kernel, arguments = type(self).kernel, (stack, events, self.collapse[first].precheck, first, slices)
+        is_of_one_type = self.is_of_one_type and self.collapse[first].precheck.limit == 0.0
+        (_CODE.get(kernel, kernel) if is_of_one_type else kernel)(*arguments)
+        if is_of_one_type and kernel not in _CODE:
+            _CODE[kernel] = code_of(kernel, *arguments)
 
     def slice(self, k: int, events: Events, bound: float) -> tuple[int, int]:
         """Advance run k by a slice: the status, and how many events it recorded."""
@@ -209,8 +218,8 @@ class Several(ABC):
 
     def state(self, k: int) -> State:
         """The state of run k, which kernels change."""
-        run: State = loop.of_run(self.states, k)
-        return run
+        z, w, mode, clock, counters, (t, z_there, w_there) = self.states
+        return State(z[k], w[k], mode[k], clock[k], counters[k], loop.Buffers(t[k], z_there[k], w_there[k]))
 
     def go_on(self, k: int, begun: Begun | None = None) -> Run:
         """Run the task k to its end, from its start or from where its first slice ended."""

@@ -190,6 +190,14 @@ def inner(function: Callable[..., Any] | None = None, *, counts: bool = False) -
     return compiled
 
 
+def code_of(kernel: Any, *arguments: Any) -> Any:
+    """The machine code of a kernel that has been called with arguments of these types; it asks for no types.
+
+    numba asks for that of each array in each call of a kernel, which takes longer than a small system runs.
+    """
+    return kernel.overloads[tuple(map(numba.typeof, arguments))].entry_point if IS_COMPILED else kernel
+
+
 def one_of(functions: Sequence[Callable[..., Any]]) -> Any:
     """For kernels, ``f(number, *arguments)``: the function of that number. All take and return the same types."""
     if not IS_COMPILED:

@@ -15,11 +15,14 @@ import numba
 import numpy as np
 import pytest
 
+from stickslip import draw_system, simulate
+from stickslip.sim.engines import stacks
 from stickslip.sim.kernels import cache as kept
 from stickslip.sim.kernels import compile as compiling
 from stickslip.sim.kernels import digest
 from stickslip.sim.kernels.cache import CacheFiles, cache_directory
 from stickslip.sim.kernels.compile import inner, kernel
+from stickslip.sim.simulation import as_engine, as_task
 
 
 @pytest.fixture
@@ -168,3 +171,30 @@ def test_an_interrupt_of_a_callback_from_the_compiler_is_not_lost(monkeypatch):
         with pytest.raises(KeyboardInterrupt):
             double(3)
     assert double(3) == 6
+
+
+@pytest.mark.parametrize("engine", ["coulomb", "sigmoid"])
+def test_plain_systems_of_any_size_are_of_one_type(engine, monkeypatch):
+    """Of these numba is asked once: the code for a type would read arrays of another as if they were its own."""
+    kinds = set()
+
+    def code_of(kernel, *arguments):
+        def code(*arguments):
+            kinds.add(tuple(map(numba.typeof, arguments)))
+            kernel(*arguments)
+
+        kinds.add(tuple(map(numba.typeof, arguments)))
+        return code
+
+    monkeypatch.setattr(stacks, "_CODE", {})
+    monkeypatch.setattr(stacks, "code_of", code_of)
+    for n in (1, 2, 3, 4, 5, 8, 9):
+        systems = [draw_system("antisymmetric", n, seed) for seed in range(3)]
+        kind = as_engine(engine, {})
+        for times in ((), [0.0, 1.0]):
+            simulate(
+                systems[0], -0.7, np.linspace(-0.4, 0.0, n), 2.0, engine=engine, t_eval=times, stop_early="always"
+            )
+        for run in kind.prepare([as_task(kind, system, -0.7, -0.4, 2.0) for system in systems]):
+            run()
+    assert len(kinds) == 1

@@ -16,7 +16,7 @@ from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.coulomb import control, waves
 from stickslip.sim.engines.coulomb.kernel import Work, advance
 from stickslip.sim.engines.coulomb.model import Model
-from stickslip.sim.engines.coulomb.overdamped import Slow, is_heavy
+from stickslip.sim.engines.coulomb.overdamped import Slow, has_heavy
 from stickslip.sim.engines.coulomb.sparse import Local
 from stickslip.sim.engines.coulomb.taylor import Expansion
 from stickslip.sim.engines.coulomb.windows import Goal, Search
@@ -58,12 +58,7 @@ def runs(tasks: Sequence[Task], engine: Coulomb) -> list[Callable[[], Run]]:
     def together(some: list[Task]) -> _Runs | None:
         return _Runs(some, engine) if _may_begin_together(some, engine) else None
 
-    return stacks.runs([_as_sparse(task, engine) for task in tasks], together, partial(_alone, engine))
-
-
-def _as_sparse(task: Task, engine: Coulomb) -> Task:
-    """The task, with a sparse K if a dense one is nearly empty."""
-    return task._replace(system=_sparse(task.system)) if engine.is_nearly_empty(task.system) else task
+    return stacks.runs(tasks, together, partial(alone, engine))
 
 
 @once_a_system
@@ -76,16 +71,23 @@ def _sparse(system: System) -> System:
 
 def _may_begin_together(tasks: Sequence[Task], engine: Coulomb) -> bool:
     """Whether all are run by series, with products of one kind, and none is beyond float64 or heavily damped."""
-    systems = [task.system for task in tasks]
-    damping, pull = np.array([one.damping for one in systems]), np.array([one.row_sums for one in systems])
-    is_any_heavy = is_heavy(damping, pull, 0.0).any()
-    is_any_by_waves = any(engine.is_by_waves(task.system, task.length) for task in tasks)
-    is_any_alone = is_any_heavy or is_any_by_waves or any(_beyond_float64(task, True) for task in tasks)
+    pull, is_any_alone = (
+        np.array([task.system.row_sums for task in tasks]),
+        any(
+            engine.is_nearly_empty(task.system)
+            or has_heavy(task.system)
+            or engine.is_by_waves(task.system, task.length)
+            or _beyond_float64(task, True)
+            for task in tasks
+        ),
+    )
     return not is_any_alone and products.are_of_one_kind(pull)
 
 
-def _alone(engine: Coulomb, task: Task) -> Run:
-    """The run of a task, by the method that it takes."""
+def alone(engine: Coulomb, task: Task) -> Run:
+    """The run of a task, by the method that it takes; raises as those of `runs`."""
+    if engine.is_nearly_empty(task.system):
+        task = task._replace(system=_sparse(task.system))
     by_series = not engine.is_by_waves(task.system, task.length)
     if beyond := _beyond_float64(task, by_series):
         raise ValueError(f"system: expected {beyond}; take other units, as System.from_physical does")
@@ -146,6 +148,7 @@ class _Runs(Several):
         ]
         may_be_slow = len(tasks) == 1 and weakening is None and first.cross_damping is None
         self.slow = Slow.of(first, self.drives[0].fastest) if may_be_slow else None
+        self.is_of_one_type = first.is_plain and self.slow is None
         is_dense = isinstance(first.stiffness, np.ndarray)
         is_whole = is_dense or weakening is not None or self.drives[0].is_forced or self.slow is not None
         local = None if is_whole else Local.of(first)

@@ -29,6 +29,7 @@ from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
 from stickslip.sim.numerics.products import one_product
+from stickslip.sim.systems.once import once_a_system
 from stickslip.sim.systems.system import System
 
 #: Places in `patience`: the steps of `expand` still to take, and how many come after the next failure.
@@ -51,7 +52,7 @@ class Slow(NamedTuple):
     def of(cls, system: System, fastest: float) -> Slow | None:
         """None if there are no such blocks; `fastest` is the largest frequency of a force."""
         damping, pull = system.damping, system.row_sums
-        if not is_heavy(damping, pull, fastest).any():
+        if not (has_heavy(system) and _is_heavy(damping, pull, fastest).any()):
             return None
         all_move, decays = np.ones(system.n, dtype=np.bool_), np.zeros(system.n, dtype=np.bool_)
         most = float(damping.max())
@@ -60,7 +61,13 @@ class Slow(NamedTuple):
         return slow._replace(rate=rate)
 
 
-def is_heavy(damping: Floats, pull: Floats, fastest: float) -> NDArray[np.bool_]:
+@once_a_system
+def has_heavy(system: System) -> bool:
+    """Whether a block may be heavily damped: one is without forces."""
+    return bool(_is_heavy(system.damping, system.row_sums, 0.0).any())
+
+
+def _is_heavy(damping: Floats, pull: Floats, fastest: float) -> NDArray[np.bool_]:
     """Whether R is far above all other rates of a block: see `Slow`, whose arguments these are."""
     return damping > control.HEAVY * np.maximum(np.sqrt(pull), fastest)
 

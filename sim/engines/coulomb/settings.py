@@ -83,7 +83,9 @@ class Coulomb(Engine):
     tol: float = setting(1e-10, TOL)
 
     def integrate(self, task: Task) -> Run:
-        return self.prepare([task])[0]()
+        from stickslip.sim.engines.coulomb import integrate  # as in `prepare`
+
+        return integrate.alone(self, task)
 
     def prepare(self, tasks: Sequence[Task]) -> list[Callable[[], Run]]:
         from stickslip.sim.engines.coulomb import integrate  # it loads numba, half a second that settings do not need
@@ -139,9 +141,9 @@ class Coulomb(Engine):
             return False
         if system.force or system.weakening is not None or not system.back_slip or system.fastest_belt == 0.0:
             return False
-        from stickslip.sim.engines.coulomb.overdamped import Slow  # as in `prepare`
+        from stickslip.sim.engines.coulomb.overdamped import has_heavy  # as in `prepare`
 
-        return Slow.of(system, 0.0) is None
+        return not has_heavy(system)
 
     @staticmethod
     def is_nearly_empty(system: System) -> bool:

@@ -19,7 +19,7 @@ from stickslip.sim.engines.waveform import control as limits
 from stickslip.sim.engines.waveform.friction import SetValued
 from stickslip.sim.engines.waveform.layout import Exact, Model, Shared, Workspace
 from stickslip.sim.engines.waveform.matrices import matrices_of
-from stickslip.sim.engines.waveform.runs import WaveformRuns
+from stickslip.sim.engines.waveform.runs import WaveformRuns, tables_of
 from stickslip.sim.engines.waveform.step import take
 from stickslip.sim.kernels.compile import kernel
 from stickslip.sim.numerics.radau import NODES
@@ -45,7 +45,7 @@ class _Waves(WaveformRuns):
     safety, longest = 1.0, np.inf
 
     def __init__(self, task: Task, tol: float, followed: float) -> None:
-        super().__init__([task])
+        super().__init__([task], tables_of([task.system]))
         system, block, n = task.system, self.block, task.system.n
         u, pull = block.u0, block.force0
         size = np.maximum(np.abs(pull), block.static)

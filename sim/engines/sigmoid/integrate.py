@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines import certificates, loop, stacks
 from stickslip.sim.engines.contract import Ratios, Task
-from stickslip.sim.engines.forcing import Drive
+from stickslip.sim.engines.forcing import Drive, Forcing
 from stickslip.sim.engines.polynomials import Polynomials
 from stickslip.sim.engines.waveform import control as limits
 from stickslip.sim.engines.waveform.control import first_step
@@ -19,12 +19,13 @@ from stickslip.sim.engines.waveform.events import PASSES
 from stickslip.sim.engines.waveform.friction import Peaked, Plain, Steady
 from stickslip.sim.engines.waveform.layout import Blocks, Model, Shared, Workspace
 from stickslip.sim.engines.waveform.matrices import NONE, Matrix, matrices_of, matrix_of
-from stickslip.sim.engines.waveform.runs import WaveformRuns, forces_of
+from stickslip.sim.engines.waveform.runs import WaveformRuns, forces_of, tables_of
 from stickslip.sim.engines.waveform.step import take
 from stickslip.sim.kernels.compile import kernel
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.friction import hidden_term, over_kinetic, turning_point
+from stickslip.sim.systems.once import once_a_system
 from stickslip.sim.systems.system import System
 from stickslip.sim.systems.weakening import LAW_OF
 
@@ -65,6 +66,9 @@ class _Layer(NamedTuple):
     peak: Floats  #: the |w - v| at which friction has its peak
     band: Floats  #: a block sticks below this |w - v|
     is_manifold: bool  #: whether |F| must also be below static friction
+    widest: float  #: the largest delta
+    has_peak: bool  #: whether a peak matters
+    is_closed: bool  #: whether a side is
 
     @classmethod
     def of(cls, system: System, engine: Sigmoid) -> _Layer:
@@ -79,7 +83,9 @@ class _Layer(NamedTuple):
         law, hidden, peak = _law(system)
         if system.weakening is not None:
             peak = _peak(system, delta, hidden, peak)
-        return cls(law, delta, hidden, peak * delta, band, is_manifold)
+        peak, is_closed = peak * delta, bool(system.closed.any())
+        has_peak = bool((peak < np.inf).any())
+        return cls(law, delta, hidden, peak, band, is_manifold, float(delta.max()), has_peak, is_closed)
 
 
 def _friction(system: System, layer: _Layer) -> certificates.Friction:
@@ -120,64 +126,49 @@ def advance(stack, events, precheck, first, slices):  # type: ignore[no-untyped-
     take(stack, events, precheck, first, slices)
 
 
-class _Runs(WaveformRuns):
-    kernel = advance
+class _Given(NamedTuple):
+    """What follows from the systems of some tasks and the settings. Arrays are by task and block, as of a stack."""
 
-    def __init__(self, engine: Sigmoid, tasks: Sequence[Task]) -> None:
-        super().__init__(tasks)
-        self.engine, block = engine, self.block
-        systems = self.systems = [task.system for task in tasks]
+    layer: _Layer
+    inside: _Inside
+    tables: Floats  #: see `tables_of`
+    models: Model  #: without forces
+    smoothed: list[certificates.Smoothed]
+    allowed: list[float]  #: the error in the motion after a collapse
+    stalled: str
+
+    @classmethod
+    def of(cls, systems: Sequence[System], engine: Sigmoid) -> _Given:
         system = systems[0]  # if it is not plain, it is the only one
-        layer = self.layer = _Layer.of(system, engine)
-        atol, _rtol, self.safety = self.inside = _Inside.of(engine)
-        self.stalled = (
-            f"the step fell to the rounding of time (rtol = {engine.rtol:g}, atol = {engine.atol:g}); use"
-            " engine='coulomb', or raise rtol and atol by tens, which helps unless a belt or a force jumps"
-        )
-        self.longest = atol / (limits.CREEP * float(layer.delta.max()))
+        layer, inside = _Layer.of(system, engine), _Inside.of(engine)
+        tables, belts = tables_of(systems), [one.fastest_belt for one in systems]
+        block = Blocks(tables[..., : system.n])
+        cls._fill_in_the_law(block, system, layer, inside, engine)
         by_force = np.array([layer.is_manifold, *(False for _ in engine.thresholds)])
         bands = np.array([layer.band, *(c * layer.delta for c in engine.thresholds)])
         bands = bands * (block.friction > 0.0)[:, np.newaxis]  # without friction no block sticks
         borne = np.empty_like(bands)
         for k, one in enumerate(systems):
             borne[k] = one.kinetic(bands[k])
-        self._fill_in_the_law(layer, block)
-        self.modes = _modes(block, bands, layer.is_manifold)
-        self.initial_modes = self.modes.copy()
-        allowed = (engine.atol + engine.rtol * np.array([one.fastest_belt for one in systems])).tolist()
-        of_law = [
-            (one.fastest_belt, wide) for one, wide in zip(systems, bands.max(axis=(1, 2)).tolist(), strict=True)
-        ]
+        of_law = list(zip(belts, bands.max(axis=(1, 2)).tolist(), strict=True))
         smoothed = {key: _smoothed(layer, *key) for key in set(of_law)}
-        self.collapse = [
-            certificates.Collapse(task.system, error, smoothed[key], limits.certificate(task))
-            for task, error, key in zip(tasks, allowed, of_law, strict=True)
-        ]
-        steps = self.begin_clocks(self.modes, atol)
-        self.states.counters[:, loop.N_PRODUCTS] = 1 if system.cross_damping is None else 2
-        n_substeps = 16 * system.n + 256
-        self.events_a_step = PASSES * (system.n + n_substeps) * len(by_force)
-        self.work = Workspace.of(self.tables, self.modes, self.drives[0].is_forced, n_substeps)
-        self.work.next_h[:], common = limits.FIRST_SUBSTEP * steps[:, np.newaxis], Shared(self.work.shared)
-        common.atol, common.rtol, common.safety = self.inside
-        _jumped(self.states.clock, self.work.next_h, block)
-        self.models = Model(
-            layer.law,
-            None,
-            *_matrices(systems),
-            loop.forcing_of(self.drives),
-            bands,
-            borne,
-            np.tile(by_force, (len(tasks), 1)),
+        forcing, is_by_force = Forcing.none(len(systems)), np.tile(by_force, (len(systems), 1))
+        models = Model(layer.law, None, *_matrices(systems), forcing, bands, borne, is_by_force)
+        stalled = (
+            f"the step fell to the rounding of time (rtol = {engine.rtol:g}, atol = {engine.atol:g}); use"
+            " engine='coulomb', or raise rtol and atol by tens, which helps unless a belt or a force jumps"
         )
+        allowed = [engine.atol + engine.rtol * belt for belt in belts]
+        return cls(layer, inside, tables, models, [smoothed[key] for key in of_law], allowed, stalled)
 
-    def _fill_in_the_law(self, layer: _Layer, block: Blocks) -> None:
+    @staticmethod
+    def _fill_in_the_law(block: Blocks, system: System, layer: _Layer, inside: _Inside, engine: Sigmoid) -> None:
         """Fill in the rows of the smoothed friction law."""
-        system, near, (atol, _, safety) = self.systems[0], block.friction, self.inside
+        near, (atol, _, safety) = block.friction, inside
         block.steep, block.hidden, block.peak = 1.0 / layer.delta, layer.hidden, layer.peak
         block.passed = limits.PASSED * safety
         block.of_tail = max(1.0, limits.OF_TAIL / safety)
-        block.at_peak = limits.OF_ROOT * np.sqrt(self.engine.atol + self.engine.rtol)
+        block.at_peak = limits.OF_ROOT * np.sqrt(engine.atol + engine.rtol)
         fine = np.minimum(limits.FINE * layer.delta ** (2.0 / 3.0), 1.0)
         block.fine = np.where(layer.peak < np.inf, fine, 1.0)
         if system.weakening is not None:
@@ -185,6 +176,41 @@ class _Runs(WaveformRuns):
             block.far = np.divide(system.slip_friction[1], near, out=np.ones_like(near), where=near > 0)
         # beyond this friction is kinetic, to the tolerance
         block.reach = 1.0 + 0.5 * np.log1p(2.0 * near * (1.0 + 2.0 * layer.hidden) / (safety * atol))
+
+
+@once_a_system
+def _given(system: System, engine: Sigmoid) -> _Given:
+    return _Given.of([system], engine)
+
+
+class _Runs(WaveformRuns):
+    kernel = advance
+
+    def __init__(self, engine: Sigmoid, tasks: Sequence[Task]) -> None:
+        systems = self.systems = [task.system for task in tasks]
+        system = systems[0]
+        given = _given(system, engine) if len(tasks) == 1 else _Given.of(systems, engine)
+        super().__init__(tasks, given.tables)
+        self.engine, self.is_of_one_type, self.stalled = engine, system.is_plain, given.stalled
+        layer, (atol, _rtol, self.safety) = given.layer, given.inside
+        self.layer, self.inside, self.models = layer, given.inside, given.models
+        self.longest = atol / (limits.CREEP * layer.widest)
+        if self.drives[0].is_forced:
+            self.models = self.models._replace(forcing=loop.forcing_of(self.drives))
+        self.modes = _modes(self.block, self.models.bands, layer)
+        self.initial_modes = self.modes.copy()
+        self.collapse = [
+            certificates.Collapse(task.system, error, smoothed, limits.certificate(task))
+            for task, error, smoothed in zip(tasks, given.allowed, given.smoothed, strict=True)
+        ]
+        steps = self.begin_clocks(self.modes, atol)
+        self.states.counters[:, loop.N_PRODUCTS] = 1 if system.cross_damping is None else 2
+        n_substeps = 16 * system.n + 256
+        self.events_a_step = PASSES * (system.n + n_substeps) * self.modes.shape[1]
+        self.work = Workspace.of(self.tables, self.modes, self.drives[0].is_forced, n_substeps)
+        self.work.next_h[:], common = limits.FIRST_SUBSTEP * steps[:, np.newaxis], Shared(self.work.shared)
+        common.atol, common.rtol, common.safety = self.inside
+        _jumped(self.states.clock, self.work.next_h, self.block)
 
     def alone(self, k: int) -> Run:
         return _alone(self.engine, self.tasks[k])
@@ -201,7 +227,7 @@ class _Rest:
 
     def __init__(self, runs: _Runs, k: int, state: loop.State) -> None:
         self._runs, self._k, self._state = runs, k, state
-        self._near = _NEAR_REST * runs.layer.delta.max()
+        self._near = _NEAR_REST * runs.layer.widest
 
     @cached_property
     def _friction(self) -> certificates.Friction:
@@ -233,7 +259,7 @@ class _Rest:
         for u in (-belt - of_w, -belt + of_w):
             for force in (pull - spread, pull + spread):
                 block.u0, block.force0 = u, force
-                if (_modes(block, bands, runs.layer.is_manifold) != runs.modes[k]).any():
+                if (_modes(block, bands, runs.layer) != runs.modes[k]).any():
                     return None
         return flow
 
@@ -319,16 +345,18 @@ def _peak(system: System, delta: Floats, hidden: Floats, of_static: Floats) -> F
     return np.where(high < _WIDEST, peak, of_static)
 
 
-def _modes(block: Blocks, bands: Floats, is_manifold: bool) -> NDArray[np.int8]:
+def _modes(block: Blocks, bands: Floats, layer: _Layer) -> NDArray[np.int8]:
     """Modes at the start, by each definition, shape (tasks, definitions, n)."""
-    u, pull, closed = block.u0, block.force0, block.closed
-    if closed.any():
+    u, pull = block.u0, block.force0
+    if layer.is_closed:
+        closed = block.closed
         u, pull = np.where(u * closed > 0, 0.0, u), np.where(pull * closed < 0, 0.0, pull)
-    held = np.abs(u)[:, np.newaxis] < bands
-    if is_manifold:
-        is_driven = (np.abs(u) > block.peak) & (-pull * np.sign(u) > block.friction)
-        held[:, 0] &= (np.abs(pull) < block.static) & ~is_driven
-    side = np.where(u != 0, np.sign(u), -np.sign(pull))  # at the belt's speed, the side to which it goes next
+    held, side = np.abs(u)[:, np.newaxis] < bands, np.sign(u)
+    if layer.is_manifold:
+        held[:, 0] &= np.abs(pull) < block.static
+        if layer.has_peak:
+            held[:, 0] &= ~((np.abs(u) > block.peak) & (-pull * side > block.friction))
+    side = np.where(u != 0, side, -np.sign(pull))  # at the belt's speed, the side to which it goes next
     return np.where(held, 0, side[:, np.newaxis]).astype(np.int8)
 
 

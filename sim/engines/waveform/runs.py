@@ -21,10 +21,12 @@ from stickslip.sim.systems.system import System
 class WaveformRuns(Several):
     """Runs by macro steps; a subclass fills in its law. Arrays are by task and block, or task, definition and block.
 
+    `tables` are those of `tables_of`, with the rows of a smooth law; they are copied, and filled in with the start.
+
     Attributes
     ----------
     block : Blocks
-        All rows but those of a smooth law alone, at the start; u and F are kept as if they had been constant before.
+        At the start; u and F are kept as if they had been constant before.
     models : Model
     work : Workspace
     safety, longest : float
@@ -36,20 +38,18 @@ class WaveformRuns(Several):
     safety: float
     longest: float
 
-    def __init__(self, tasks: Sequence[Task]) -> None:
-        self.tasks, systems = tasks, [task.system for task in tasks]
+    def __init__(self, tasks: Sequence[Task], tables: Floats) -> None:
+        self.tasks, self.tables = tasks, tables.copy()
         self.drives = [Drive(task.system, task.t_start, task.t_end, 0) for task in tasks]
-        self.tables = blank_tables(len(tasks), systems[0].n)
-        block = self.block = Blocks(self.tables[..., : systems[0].n])
+        block = self.block = Blocks(self.tables[..., : tasks[0].system.n])
         z, w = np.array([task.z0 for task in tasks]), np.array([task.w0 for task in tasks])
         v = np.array([drive.belt_speed for drive in self.drives])
-        block.u0, block.z0, block.speed_before, block.belt = w - v, z, np.abs(w), v
-        block.damping, block.static, block.closed, block.friction, block.row_sum = np.array(
-            [[one.damping, one.static, one.closed, one.slip_friction[0], one.row_sums] for one in systems]
-        ).swapaxes(0, 1)
-        forces = [forces_of(*start) for start in zip(systems, self.drives, z, w, strict=True)]
-        block.drag, block.force0 = np.array(forces).swapaxes(0, 1)
-        block.kept_f, block.kept_u = block.force0[:, np.newaxis], block.u0[:, np.newaxis]
+        u = w - v
+        block.u0, block.z0, block.speed_before, block.belt = u, z, np.abs(w), v
+        forces = [forces_of(task.system, *start) for task, *start in zip(tasks, self.drives, z, w, strict=True)]
+        drag, force = np.array(forces).swapaxes(0, 1)
+        block.drag, block.force0 = drag, force
+        block.kept_f, block.kept_u = force[:, np.newaxis], u[:, np.newaxis]
         self.bounds, self.lengths = np.empty(len(tasks)), np.array([drive.length for drive in self.drives])
 
     def begin_clocks(self, modes: NDArray[np.int8], tol: float, scale: float = 1.0) -> Floats:
@@ -58,12 +58,16 @@ class WaveformRuns(Several):
         Returns the first step of each run, by the error of w allowed in it over its scale.
         """
         block = self.block
-        friction = [task.system.friction for task in self.tasks]
-        changes = np.abs(np.array([block.speed_before, block.damping * block.u0 + block.force0, friction]))
+        changes = np.maximum(block.speed_before, np.abs(block.damping * block.u0 + block.force0)).max(axis=1)
         steps = np.array(
             [
-                min(length, control.LONGEST_FIRST, scale * control.first_step(tol, fastest))
-                for length, fastest in zip(self.lengths.tolist(), changes.max(axis=(0, 2)).tolist(), strict=True)
+                min(length, control.LONGEST_FIRST, scale * control.first_step(tol, max(change, most)))
+                for length, change, most in zip(
+                    self.lengths.tolist(),
+                    changes.tolist(),
+                    (task.system.most_friction for task in self.tasks),
+                    strict=True,
+                )
             ]
         )
         self.states = loop.State.at_start(self.tasks, modes[:, 0].copy(), [(step, 1.0, 0.0, 0.0) for step in steps])
@@ -76,6 +80,16 @@ class WaveformRuns(Several):
         if drive.is_instant:
             self.lengths[0], instant = drive.ahead, drive.instant
         return Control(self.lengths, drive.is_last, instant, self.bounds, longest, self.safety, self.single_rates)
+
+
+def tables_of(systems: Sequence[System]) -> Floats:
+    """Tables of `Blocks` with the rows that systems fill in."""
+    tables = blank_tables(len(systems), systems[0].n)
+    block = Blocks(tables[..., : systems[0].n])
+    block.damping, block.static, block.closed, block.friction, block.row_sum = np.array(
+        [[one.damping, one.static, one.closed, one.slip_friction[0], one.row_sums] for one in systems]
+    ).swapaxes(0, 1)
+    return tables
 
 
 def forces_of(system: System, drive: Drive, z: Floats, w: Floats) -> tuple[Floats, Floats]:
