@@ -147,9 +147,7 @@ class Cause(StrEnum):
 
     MULTIPLIER = "multiplier"  #: that of the cycle comes to 1 there
     GRAZING = "grazing"  #: a block of the cycle only touches its belt's speed there, and does not stick
-    CYCLE = (
-        "cycle"  #: the cycle attracts at one end of the interval, and a run from it settles elsewhere at the other
-    )
+    CYCLE = "cycle"  #: it attracts at one end of the interval, and a run from it settles elsewhere at the other
     RUNS = "runs"  #: runs from it stick and slip to their ends, up to one end of the interval
 
 

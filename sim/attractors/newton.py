@@ -97,9 +97,8 @@ def near_cycle(
     nearest, is_on_its_way = None, False
     for _ in range(_MOST):
         w = np.where(is_held, system.belt_speed_at(0.0), w)
-        sides = np.where(
-            w < system.belt_speed_at(0.0), -1, 1
-        )  # of its belt's speed, on which a block is that does not count
+        # a block that does not count is on a side of its belt's speed, and never sticks
+        sides = np.where(w < system.belt_speed_at(0.0), -1, 1)
         before, modes = (np.where(is_counted, mode_of, sides).astype(np.int8) for mode_of in (before, modes))
         if not _are_allowed(system, z, w, modes):
             break
