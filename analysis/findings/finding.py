@@ -279,7 +279,7 @@ class Fit(StrEnum):
     """Whether data are what a law says."""
 
     HOLDS = "holds"  #: no departure is shown, or one within the margin that the scene declares
-    CLOSE = "close"  #: a departure is shown, and `Law.departure` says how large it is
+    CLOSE = "close"  #: nearer to it than to another; `Law.departure` says how near
     FAILS = "fails"
     OPEN = "open"
 

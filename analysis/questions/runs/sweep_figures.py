@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from functools import partial
+from textwrap import fill
 
 import matplotlib
 import numpy as np
@@ -28,6 +29,7 @@ MOST_LINES = 6  # in one figure
 MOST_FIGURES = 8  # of statistics along a key
 MOST_DECADES = 4.0  # of an axis: what lies further below the largest value is below the axis
 DECADES = 30.0  # largest over least value from which an axis is logarithmic
+_LETTERS = 32  # of a line along an axis, and of a legend's name of which two fit beside each other
 _FEW_TICKS = 4  # so few values of a key are its ticks
 Line = tuple[str, Sequence[Estimate]]
 _DIMENSIONS = {term.name: term.dimension for term in TERMS} | {"z": "length", "w": "speed"}
@@ -130,14 +132,16 @@ def curves(
     elif not is_log:
         ax.xaxis.set_major_locator(FixedLocator(places.tolist()) if len(places) <= _FEW_TICKS else MaxNLocator(6))
     margin = 0.05 * np.ptp(places)
-    ax.set(xlim=(places.min() - margin, places.max() + margin), xlabel=key, ylabel=what)
+    ax.set(xlim=(places.min() - margin, places.max() + margin), xlabel=key, ylabel=fill(what, _LETTERS))
     if is_log:
         ax.set(xscale="log", xlim=(places.min() / 1.2, 1.2 * places.max()))
     if is_decades:  # an interval that reaches zero goes down to the axis
         ax.set_yscale("log", nonpositive="clip")
         ax.set_ylim(max(values.min(), floor) / 2, 2 * values.max())
     if len(lines) > 1:
-        ax.figure.legend(loc="outside upper center", ncols=min(len(lines), 3), handlelength=1.2)
+        longest = max(len(name) for name, _ in lines)
+        columns = min(len(lines), 3 if longest < _LETTERS // 2 else 2 if longest < _LETTERS else 1)
+        ax.figure.legend(loc="outside upper center", ncols=columns, handlelength=1.2)
 
 
 def _spans_decades(values: np.ndarray) -> bool:

@@ -1,8 +1,8 @@
 """The law of cascade sizes: its decay rate beside those of three nulls, and whether it is geometric.
 
 The nulls are the geometric distribution with p = 1/2, whose rate is ln 2, independent two-state blocks
-(`models.pool`) and the runs' own blocks, shifted in time (`series.nulls`). The variance of the sizes decides whether
-they are geometric (`stats.dispersion`), and the likelihood whether they are nearer to that than to a power law.
+(`models.pool`) and the runs' own blocks, shifted in time (`series.nulls`). The variance of the sizes says how near to
+geometric they are (`stats.dispersion`), and the likelihood whether they are nearer to that than to a power law.
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ from stickslip.analysis.findings.finding import (
     Level,
     Quantity,
     Reason,
-    Verdict,
 )
 from stickslip.analysis.findings.numbers import with_interval
 from stickslip.analysis.findings.place import Place
@@ -326,21 +325,17 @@ def _findings(study: Study, sums: Sums, where: Place) -> list[Finding]:
     rate, *further = _rates(study, sums, where)
     geometric = Comparison(GEOMETRIC, Difference(sums.estimate(over_geometric, level)))
     departure = Level(VARIANCE, sums.estimate(variance, level), where, geometric, rate.basis)
-    fit = fit_of(departure, gain(sums, level))
+    fit = fit_of(gain(sums, level))
     law = Law("cascade sizes", "fall off geometrically", rate, fit, departure, "fall off nearly geometrically",
               called="decay rate")  # fmt: skip
     return [law, *further, departure]
 
 
-def fit_of(departure: Level, gain: Estimate) -> Fit:
-    """Whether sizes are geometric: by their variance and, against a power law, by their likelihood."""
+def fit_of(gain: Estimate) -> Fit:
+    """Whether sizes are nearer to a geometric law than to a power law: by their likelihood."""
     if gain.low is None or gain.high is None or gain.low <= 0.0 <= gain.high:
         return Fit.OPEN
-    if gain.high < 0.0:
-        return Fit.FAILS
-    assert departure.comparison is not None
-    is_shown = departure.comparison.difference.verdict in (Verdict.MORE, Verdict.LESS)
-    return Fit.CLOSE if is_shown else Fit.HOLDS
+    return Fit.FAILS if gain.high < 0.0 else Fit.CLOSE
 
 
 def of_systems(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
