@@ -204,11 +204,9 @@ def answer(study: Study) -> Answer:
     with_rate.sort(key=lambda entry: not _is_exact(entry.group))
     lead = with_rate[0]
     alike = [entry for entry in with_rate if _engine(entry) == _engine(lead)][:MOST_SETTINGS]
-    names = apart([entry.group.name for entry in alike], 2 * _has_several_engines(study))
-    leading = _findings(study, lead, Place.of(names[0]))
-    findings = [
-        rate for sums, name in zip(alike[1:], names[1:], strict=True) for rate in _rates(study, sums, Place.of(name))
-    ]
+    where = _places(study)
+    leading = _findings(study, lead, where[lead.group.label])
+    findings = [rate for sums in alike[1:] for rate in _rates(study, sums, where[sums.group.label])]
     curves = [entry for entry in with_rate if entry.n == lead.n][:MOST_DRAWN]
     definitions = cascade_definitions.compared(study, lead.group)
     return Answer(
@@ -236,8 +234,11 @@ def _is_exact(group: Group) -> bool:
     return ENGINES[group.key["engine"]].is_exact
 
 
-def _has_several_engines(study: Study) -> bool:
-    return len({group.key["engine"] for group in study.groups}) > 1
+def _places(study: Study) -> dict[str, Place]:
+    """What tells each setting from all others, by its label; n and the engine, where there are several engines."""
+    n_always = 2 * (len({group.key["engine"] for group in study.groups}) > 1)
+    names = apart([group.name for group in study.groups], n_always)
+    return {group.label: Place.of(name) for group, name in zip(study.groups, names, strict=True)}
 
 
 def _drifting(study: Study, judged: Sequence[Group], sums: Mapping[str, Sums]) -> Level | None:
@@ -253,8 +254,7 @@ def _drifting(study: Study, judged: Sequence[Group], sums: Mapping[str, Sums]) -
     lead = min(drifts, key=lambda group: (not _is_exact(group), -int(group.key["n"])), default=None)
     if lead is None or (rate := sums[lead.label].estimate(gamma, level)).low is None:
         return None
-    (name,) = apart([lead.name], 2 * _has_several_engines(study))
-    return Level(RATE, rate, Place.of(name), basis=Basis(len(sums[lead.label].rows), systems(study)))
+    return Level(RATE, rate, _places(study)[lead.label], basis=Basis(len(sums[lead.label].rows), systems(study)))
 
 
 def _drift(study: Study) -> Alert:
