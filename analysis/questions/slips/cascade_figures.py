@@ -64,7 +64,7 @@ def one_run(
     ax.step(t, n_stick, where="post", color=EXACT, linewidth=0.5, rasterized=True)
     ax.axvspan(0, t_burn, color=GREY, alpha=0.13, linewidth=0)
     ax.text(t_burn / 2, 0.02, "left out", transform=ax.get_xaxis_transform(), ha="center", color=GREY)
-    ax.set(xlim=(0, max(t_stop, t_burn)), ylim=(0, None), ylabel="blocks that stick, $n_{stick}$")
+    ax.set(xlim=(0, max(t_stop, t_burn)), ylim=(0, None), ylabel="sticking blocks")
     ax.set_xlabel(units.label("time t", "time"))
     if largest is None:
         return
