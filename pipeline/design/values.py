@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -56,9 +56,14 @@ class Course:
     values: tuple[float, ...]
 
     @property
+    def extremes(self) -> tuple[float, float]:
+        """The least and the greatest value."""
+        return min(self.values), max(self.values)
+
+    @property
     def size(self) -> float:
         """The largest absolute value."""
-        return max(map(abs, self.values))
+        return max(map(abs, self.extremes))
 
     @property
     def word(self) -> str:
@@ -67,6 +72,36 @@ class Course:
 
     def __str__(self) -> str:
         return " to ".join(f"{short(x)} at {short(t)}" for t, x in zip(self.times, self.values, strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A number that changes in time as two columns of a file say, times and values: as a `Course`.
+
+    `table` is the file beside the scene, with the sha256 of its bytes, how many values it holds and between which;
+    `columns` names the two of several.
+    """
+
+    table: str
+    columns: tuple[str | int, ...]
+    sha256: str
+    n_values: int
+    extremes: tuple[float, float]
+    at: str = field(default="", compare=False)  #: where it lies
+
+    @property
+    def size(self) -> float:
+        """The largest absolute value."""
+        return max(map(abs, self.extremes))
+
+    @property
+    def word(self) -> str:
+        """What would stand in a member's name; a course is not swept."""
+        return "course"
+
+    def __str__(self) -> str:
+        low, high = map(short, self.extremes)
+        return f"{self.n_values} values of {self.table} from {low} to {high}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +123,7 @@ class Push:
     """One of several forces: amplitude cos(frequency t + phase), numbers or drawn by block, or a course."""
 
     harmonic: tuple[Any, ...]
-    course: Course | None
+    course: Course | Measured | None
     blocks: OnBlocks | None
 
     def __str__(self) -> str:
@@ -144,7 +179,7 @@ class Ratio:
 
 
 #: The value of a key in one run.
-Value: TypeAlias = float | int | Distribution | Course | Named | Ratio
+Value: TypeAlias = float | int | Distribution | Course | Measured | Named | Ratio
 
 #: What a key holds: a tuple is a list in the file, each of whose values is run.
 Quantity: TypeAlias = Value | tuple[Value, ...]
@@ -184,6 +219,10 @@ def as_written(quantity: Quantity) -> Any:
         return str(quantity)
     if isinstance(quantity, Course):
         return {"times": list(quantity.times), "values": list(quantity.values)}
+    if isinstance(quantity, Measured):
+        columns = {"columns": list(quantity.columns)} if quantity.columns else {}
+        facts = {"sha256": quantity.sha256, "n": quantity.n_values, "extremes": list(quantity.extremes)}
+        return {"table": quantity.table, **columns, "series": facts}
     if isinstance(quantity, Ratio):
         return {"ratio": as_written(quantity.factor)}
     return {quantity.name: [quantity.first, quantity.second]} if isinstance(quantity, Distribution) else quantity

@@ -436,7 +436,7 @@ class Ensemble:
         if system.drive is not None:
             values_here["drive_block"] = system.drive.block
         values_here["contacts"] = system.rubbing
-        terms = tuple((name, values_here[name]) for name in _TERMS if values_here.get(name) is not None)
+        terms = tuple((name, scene.placed(values_here[name])) for name in _TERMS if values_here.get(name) is not None)
         return z0, w0, seed, terms, parameters
 
 

@@ -17,6 +17,7 @@ from stickslip.pipeline.design.values import (
     END,
     Course,
     Distribution,
+    Measured,
     Named,
     OnBlocks,
     Push,
@@ -25,7 +26,7 @@ from stickslip.pipeline.design.values import (
     Value,
 )
 from stickslip.pipeline.scene.ends import Ends
-from stickslip.pipeline.scene.systems import SystemFile, SystemFunction, make, read
+from stickslip.pipeline.scene.systems import SystemFile, SystemFunction, make, read, read_measured
 from stickslip.sim.engines import ENGINES, contract
 from stickslip.sim.engines.adiabatic import Adiabatic
 from stickslip.sim.engines.contract import Engine
@@ -46,7 +47,7 @@ _ARRAYS = {_PURPOSES[name]: name for name in OF_BLOCKS} | {START_Z: "z0", START_
 
 
 #: What a term or a start may be instead of one number.
-NO_NUMBER = (Distribution, Course, Named, Ratio, OnBlocks, Pushes)
+NO_NUMBER = (Distribution, Course, Measured, Named, Ratio, OnBlocks, Pushes)
 
 #: z and w, each of shape (n,).
 State = tuple[np.ndarray, np.ndarray]
@@ -155,6 +156,13 @@ class Member:
         """A term of its system; None if it has none."""
         return next((value for key, value in self.terms if key == name), None)
 
+    @property
+    def series(self) -> list[Measured]:
+        """What of its terms is read from files of times and values."""
+        values = [value for _, value in self.terms]
+        values += [push.course for pushes in values if isinstance(pushes, Pushes) for push in pushes.parts]
+        return [value for value in values if isinstance(value, Measured)]
+
     def row(self) -> dict[str, Any]:
         """Its own values, by column of a dataset; null where there is not one number."""
         source, change, begin, method = self.source, self.change, self.begin, self.method
@@ -202,6 +210,8 @@ class Member:
             return value
         if isinstance(value, Course):
             return sim.Piecewise(value.times, value.values)
+        if isinstance(value, Measured):
+            return read_measured(value)
         if isinstance(value, Ratio):
             return self._by_block(value.factor, purpose, *draw)
         if isinstance(value, Distribution):
@@ -351,7 +361,7 @@ def _words_of(terms: tuple[tuple[str, Any], ...], z0: Value, w0: Value) -> str |
     values = dict(terms)
     texts = {key: values[key] for key in _PURPOSES if key in values}
     texts |= {"force": values.get("forces", values.get("force_course")), "force_blocks": values.get("force_blocks")}
-    texts |= {"z": z0, "w": w0}
+    texts |= {"drive_speed": values.get("drive_speed"), "z": z0, "w": w0}
     special = {key: value for key, value in texts.items() if isinstance(value, NO_NUMBER)}
     return "; ".join(f"{key} = {value}" for key, value in special.items()) or None
 
@@ -396,7 +406,10 @@ def _measured_system(member: Member) -> sim.System:
 
 def _driven(member: Member, system: sim.System) -> sim.System:
     """The system in the frame of the member's drive, whose spring has the damping of a stiffness, b of Rayleigh's."""
-    block, numbers = member.term("drive_block"), {name: member.term(f"drive_{name}") for name in _OF_DRIVE}
+    block, numbers = (
+        member.term("drive_block"),
+        {name: member._by_block(member.term(f"drive_{name}"), 0) for name in _OF_DRIVE},
+    )
     damping = (member.term("rayleigh_stiffness") or 0.0) * numbers["spring"]
     driven = system.driven(block, damping=damping, **numbers)
     return driven if member.term("back_slip") is None else driven.changed(back_slip=False)
@@ -472,7 +485,8 @@ def _force(member: Member, push: Push, *number: int) -> sim.Harmonic | sim.Piece
     blocks = push.blocks
     acts = 1.0 if blocks is None else blocks.among(member.n).astype(np.float64)
     if push.course is not None:
-        return sim.Piecewise(push.course.times, np.multiply.outer(push.course.values, acts))
+        course = member._by_block(push.course, 0)
+        return sim.Piecewise(course.times, np.multiply.outer(course.values, acts))
     numbers = (
         member._by_block(value, _PURPOSES[name], *number)
         for name, value in zip(_OF_FORCE, push.harmonic, strict=True)

@@ -149,7 +149,7 @@ def run_ensemble(
     return counted(store.opened, store.tasks)
 
 
-def _look_at_origins(firsts: Iterable[Member], functions: Iterable[OwnFunction]) -> None:
+def _look_at_origins(firsts: Sequence[Member], functions: Iterable[OwnFunction]) -> None:
     """See that what members come from, and functions, are as they were: a word here, and not a row for each member.
 
     Raises `SceneError` if one is gone, or another.
@@ -157,6 +157,8 @@ def _look_at_origins(firsts: Iterable[Member], functions: Iterable[OwnFunction])
     for origin in {member.source.origin for member in firsts} | set(functions):
         if origin is not None:
             systems.look_again(origin)
+    for series in {value for member in firsts for value in member.series}:
+        systems.read_measured(series)
 
 
 def _check_caller(workers: int, scheduler: Scheduling) -> None:

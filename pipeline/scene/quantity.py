@@ -21,6 +21,7 @@ from stickslip.pipeline.design.values import (
     FILE,
     Course,
     Distribution,
+    Measured,
     Named,
     Quantity,
     Ratio,
@@ -54,7 +55,7 @@ class Key:
         return once([self._value(entry, value) for entry in value], as_toml=as_written)
 
     def _value(self, entry: object, value: object) -> Value:
-        if isinstance(entry, Distribution | Course | Named | Ratio):
+        if isinstance(entry, Distribution | Course | Measured | Named | Ratio):
             entry = as_written(entry)
         for word in self.words:
             if entry == word.word and entry is value:
@@ -62,8 +63,8 @@ class Key:
         number = _number(entry)
         if number is not None and self._allows(number):
             return number
-        if self.in_time and isinstance(entry, dict) and entry.keys() & {"times", "values"}:
-            if entry is not value:
+        if self.in_time and isinstance(entry, dict) and entry.keys() & {"times", "values", "table"}:
+            if isinstance(value, list | tuple):
                 raise ValueError(f"expected no course in a list, got {shown(entry)}; write one, without brackets")
             return course(entry)
         if self.ratio_of and isinstance(entry, dict) and "ratio" in entry:
@@ -113,11 +114,14 @@ class Key:
     @property
     def _expected(self) -> str:
         number = "a finite number" + ("" if self.least is None else f" {'>' if self.above else '>='} {self.least}")
-        forms = ", or times and values" * self.in_time + f", or a ratio to {self.ratio_of}" * bool(self.ratio_of)
+        forms = (
+            ", or times and values or a table of these" * self.in_time
+            + f", or a ratio to {self.ratio_of}" * bool(self.ratio_of)
+        )
         return (
             f"{number}, a list of numbers or a distribution{forms}"
             if self.names
-            else f"{number} or a list of numbers"
+            else f"{number} or a list of numbers{forms}"
         )
 
     @property
@@ -157,8 +161,10 @@ class Key:
         return {"anyOf": [number, {"type": "array", "items": items, "minItems": 1}, *tables, *timed, *words]}
 
 
-def course(table: dict[str, Any]) -> Course:
-    """What changes in time, from the table of its times and values."""
+def course(table: dict[str, Any]) -> Course | Measured:
+    """What changes in time, from the table of its times and values, or of a file that has these."""
+    if "table" in table:
+        return _measured(table)
     rows = [row if isinstance(row, list | tuple) else [] for row in (table.get("times"), table.get("values"))]
     times, row_values = (tuple(number for number in map(_number, row) if number is not None) for row in rows)
     is_whole = len(table) == 2 and len(rows[0]) == len(rows[1]) == len(times) == len(row_values) > 0
@@ -168,6 +174,19 @@ def course(table: dict[str, Any]) -> Course:
             " {times = [0.0, 100.0], values = [-0.1, -0.2]}"
         )
     return Course(times, row_values)
+
+
+def _measured(table: dict[str, Any]) -> Measured:
+    """What a file says, from what was there when it was looked at."""
+    match table:
+        case {"table": str(name), "series": {"sha256": str(sha256), "n": int(n), "extremes": [low, high]}} if (
+            table.keys() <= {"table", "columns", "series"}
+        ):
+            return Measured(name, tuple(table.get("columns", ())), sha256, n, (float(low), float(high)))
+    raise ValueError(
+        f"expected the name of a file of two columns, times and values, and `columns` or none, got {shown(table)};"
+        ' write in a scene file e.g. {table = "speed.csv"} or {table = "log.csv", columns = ["t", "v"]}'
+    )
 
 
 def _number(value: object) -> float | None:

@@ -11,6 +11,7 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,8 @@ from stickslip.pipeline.design.values import (
     FILE,
     Course,
     Distribution,
+    Measured,
+    Pushes,
     Quantity,
     Ratio,
     Value,
@@ -48,10 +51,13 @@ from stickslip.pipeline.scene.source import parse_toml, read_source
 from stickslip.pipeline.scene.system_table import OF_FILES, OF_GRAPH, SystemTable, is_function
 from stickslip.pipeline.scene.systems import (
     KEY,
+    OtherFile,
     SystemFile,
     SystemFunction,
+    is_path,
     located,
     look_at_files,
+    look_at_series,
     read,
     tried_function,
 )
@@ -551,11 +557,15 @@ class Scene(StrictTable):
         if system.is_of_files:
             files = system.known_files
             names = sorted(files, key=lambda name: (files[name].n, name))
-            paths = located(names, self._folder)
+            others = {file for facts in files.values() for file, _ in facts.others.values()}
+            paths = located({*names, *others}, self._folder)
             files_there: list[tuple[int, SystemFile | SystemFunction | None]] = []
             n_copies = Counter[str]()
             for name in names:
-                facts = files[name].model_dump(exclude={"n", "parameters", "names"})
+                facts = files[name].model_dump(exclude={"n", "parameters", "names", "others"})
+                facts["others"] = tuple(
+                    OtherFile(array, paths[file], variable) for array, (file, variable) in files[name].others.items()
+                )
                 facts |= {"parameters": tuple(files[name].parameters.items()), "copy": n_copies[files[name].sha256]}
                 facts |= {"is_graph": system.coupling == OF_GRAPH}
                 files_there.append((files[name].n, SystemFile(name=name, at=paths[name], **facts)))
@@ -640,6 +650,8 @@ class Scene(StrictTable):
                 del keys["record"][record.name]
         if self.system.weakening is not None:
             keys["system"]["weakening"].pop("table", None)
+        for table in self._of_series(keys["system"]):
+            del table["table"]
         if keys["system"]["back_slip"]:
             del keys["system"]["back_slip"]
         if self.start.ends is not None:
@@ -651,6 +663,22 @@ class Scene(StrictTable):
                 table, name = self.system.place_of(key, keys[where]) if where == "system" else (keys[where], key)
                 table[name] = as_written(column)
         return keys
+
+    @staticmethod
+    def _of_series(system: dict[str, Any]) -> list[dict[str, Any]]:
+        """The tables of series of files, in a dump of [system]."""
+        forces = system.get("force")
+        places = [system.get("belt_speed"), system.get("drive", {}).get("speed")]
+        places += forces if isinstance(forces, list) else [forces]
+        return [table for table in places if isinstance(table, dict) and "series" in table]
+
+    def placed(self, value: Any) -> Any:
+        """A value of a key, where it is a series of a file with the place of that."""
+        if isinstance(value, Pushes):
+            return Pushes(tuple(replace(push, course=self.placed(push.course)) for push in value.parts))
+        if not isinstance(value, Measured):
+            return value
+        return replace(value, at=located([value.table], self._folder)[value.table])
 
     @property
     def hash(self) -> str:
@@ -705,6 +733,8 @@ def _look(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, dict[
     law = system.get("weakening") if isinstance(system, dict) else None
     if isinstance(law, dict) and isinstance(law.get("table"), str) and not law.keys() & {"speeds", "coefficients"}:
         facts["system"] = {"weakening": law | read_friction_table(law["table"], folder)}
+    if isinstance(system, dict):
+        facts["system"] = facts.get("system", {}) | _look_at_series(system, folder)
     # a function is tried in a scene, which has its ends then
     facts["system"] = facts.get("system", {}) | _look_at_systems(_merged(tables, facts), folder, name)
     if isinstance(units, dict) and has_units:
@@ -747,12 +777,28 @@ def _scales_of(scene: Scene, table: Mapping[str, Any], folder: Path) -> dict[str
         ) from None
 
 
+def _look_at_series(system: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The keys of [system] that name a file of a series, with what it holds."""
+
+    def seen(key: str, table: Any) -> Any:
+        if isinstance(table, list):
+            return [seen(key, each) for each in table]
+        is_new = isinstance(table, dict) and isinstance(table.get("table"), str) and "series" not in table
+        return look_at_series(f"system.{key}", table, folder) if is_new else table
+
+    keys = {key: seen(key, system[key]) for key in ("belt_speed", "force") if key in system}
+    drive = system.get("drive")
+    if isinstance(drive, dict) and "speed" in drive:
+        keys["drive"] = drive | {"speed": seen("drive.speed", drive["speed"])}
+    return {key: table for key, table in keys.items() if table != system[key]}
+
+
 def _look_at_systems(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, Any]:
     system = tables.get("system")
     if not isinstance(system, dict) or "files" in system or "module" in system:
         return {}
     coupling, path = system.get("coupling"), system.get("path")
-    if coupling in OF_FILES and isinstance(path, str):
+    if coupling in OF_FILES and is_path(path):
         return {"files": look_at_files(path, folder, coupling == OF_GRAPH)}
     if not isinstance(coupling, str) or not is_function(coupling):
         return {}

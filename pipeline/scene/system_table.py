@@ -23,7 +23,17 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import core_schema
 
-from stickslip.pipeline.design.values import Course, OnBlocks, Push, Pushes, Quantity, as_written, size, values
+from stickslip.pipeline.design.values import (
+    Course,
+    Measured,
+    OnBlocks,
+    Push,
+    Pushes,
+    Quantity,
+    as_written,
+    size,
+    values,
+)
 from stickslip.pipeline.own.function import PATTERN
 from stickslip.pipeline.scene.quantity import AnyNumber, Key, course
 from stickslip.pipeline.scene.toml import (
@@ -50,7 +60,7 @@ OF_FILE, OF_GRAPH = OF_FILES = ("file", "graph")
 
 
 #: The keys that a force is given by: a harmonic one, or one that is linear between times.
-_FORCES = (("amplitude", "frequency"), ("times", "values"))
+_FORCES = (("amplitude", "frequency"), ("times", "values"), ("table",))
 
 _HARMONIC = (*_FORCES[0], "phase")
 
@@ -92,6 +102,8 @@ class FileTable(StrictTable):
     version: Literal[1, 2, 3] = 1  # of how draws are numbered; older datasets do not say
     parameters: dict[str, float] = Field(default_factory=dict)
     names: Annotated[tuple[str, ...], List] = ()
+    variable: str = ""
+    others: dict[str, Annotated[tuple[str, str], List]] = Field(default_factory=dict)  # by array: file and variable
 
 
 def _with_terms(table: str, behind: type[StrictTable] = StrictTable) -> Any:
@@ -118,6 +130,17 @@ class ForceTable(_with_terms("force")):  # type: ignore[misc]
     values: Annotated[tuple[float, ...], List] | None = Field(
         default=None, description="the force on every block at these times", examples=[[0.0, 0.5]]
     )
+    table: str | None = Field(
+        default=None, description="file beside the scene with two columns, times and values", examples=["force.csv"]
+    )
+    columns: Annotated[tuple[str | int, ...], List] | None = Field(
+        default=None,
+        description="which columns, by their headings or by number from 0, or which arrays of the file",
+        examples=[["t", "force"]],
+    )
+    series: Annotated[dict[str, Any] | None, WithJsonSchema({"type": "object"})] = Field(
+        default=None, description="what the table was when the scene was read: written by stickslip"
+    )
     blocks: (
         Annotated[
             tuple[Annotated[int, Field(ge=0)] | str, ...],
@@ -138,21 +161,24 @@ class ForceTable(_with_terms("force")):  # type: ignore[misc]
         keys = set(table) if isinstance(table, dict) else set()
         if keys - set(cls.model_fields):
             return table  # unknown keys are refused by name
-        keys.discard("blocks")
-        if keys - {"phase"} not in map(set, _FORCES) or keys == {"phase", *_FORCES[1]}:
+        keys -= {"blocks", "columns", "series"}
+        if keys - {"phase"} not in map(set, _FORCES) or ("phase" in keys and not keys >= {*_FORCES[0]}):
             raise ValueError(
-                f"expected amplitude and frequency, or times and values, and `blocks` or none, got {shown(table)};"
-                " write e.g. {amplitude = 0.5, frequency = 1.0, phase = 0.0} or {times = [0.0, 100.0], values = [0.0,"
-                " 0.5]}"
+                f"expected amplitude and frequency, or times and values, or a table, and `blocks` or none, got"
+                f" {shown(table)}; write e.g. {{amplitude = 0.5, frequency = 1.0, phase = 0.0}} or {{times = [0.0,"
+                ' 100.0], values = [0.0, 0.5]} or {table = "force.csv"}'
             )
-        if "times" not in keys:
+        if keys <= {*_FORCES[0], "phase"}:
             return table
-        timed = course({key: table[key] for key in _FORCES[1]})
+        timed = course({key: table[key] for key in ("times", "values", "table", "columns", "series") if key in table})
         return {**table, **as_written(timed), "phase": None}
 
     @property
-    def course(self) -> Course | None:
+    def course(self) -> Course | Measured | None:
         """The force by its values at given times."""
+        if self.table is not None:
+            written = {"table": self.table, "columns": self.columns or (), "series": self.series}
+            return course({key: value for key, value in written.items() if value is not None})
         return None if self.times is None or self.values is None else Course(self.times, self.values)
 
     @property
@@ -322,10 +348,10 @@ class _Source(StrictTable):
         description="number of blocks, or a list of numbers; with files of K that of these, and may be left out",
         examples=[200],
     )
-    path: str | None = Field(
+    path: str | dict[Literal["stiffness", *OF_BLOCKS, "z0", "w0"], str] | None = Field(  # type: ignore[valid-type]
         default=None,
-        description="file of K, .npz, .npy or Matrix Market, or of a graph, beside the scene; or several, by a"
-        " pattern",
+        description="file of K, .npz, .npy, Matrix Market, .mat or CSV, or of a graph, beside the scene; or several,"
+        " by a pattern; or a table with the file of each array",
         examples=["K.npz"],
     )
 
@@ -478,6 +504,11 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
         return tuple(sorted(numbers))
 
     def _files_apply(self) -> None:
+        if isinstance(self.path, dict) and ("stiffness" not in self.path or self.coupling == OF_GRAPH):
+            raise ValueError(
+                f'path: expected a file for `stiffness`, with coupling = "{OF_FILE}", got those of'
+                f' {", ".join(self.path)}; write e.g. {{stiffness = "K.csv", damping = "C.csv"}}'
+            )
         if self.path is None:
             raise ValueError('path: expected the file of K or of the graph, found nothing; add `path = "K.npz"`')
         if not self.files:
@@ -547,7 +578,8 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
             LAWS[law].require_static(self.static)
         if not self.back_slip and self.drive is None:  # else that of the drive counts too
             for speed in values(self.belt_speed):
-                speeds = speed.values if isinstance(speed, Course) else (speed,) if isinstance(speed, float) else ()
+                numbers = (speed,) if isinstance(speed, float) else ()
+                speeds = speed.extremes if isinstance(speed, Course | Measured) else numbers
                 if speeds and not direction(np.array(speeds)):
                     raise ValueError(
                         f"belt_speed: expected with back_slip = false a belt that neither rests nor turns, got"

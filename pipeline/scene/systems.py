@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import fnmatch
 import glob
 import inspect
 import os
 import pickle
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 
+from stickslip.pipeline.design.values import Measured
 from stickslip.pipeline.errors import SceneError, printable
 from stickslip.pipeline.own import function as own
 from stickslip.pipeline.own.files import content_of, digest
@@ -23,11 +25,13 @@ from stickslip.pipeline.own.function import OwnFunction
 from stickslip.pipeline.own.trial import Trial, tried
 from stickslip.pipeline.scene.graph_files import graph_of
 from stickslip.pipeline.scene.other_files import OtherKind
+from stickslip.pipeline.scene.readers import FORMATS
 from stickslip.pipeline.scene.source import MAX_FILES
-from stickslip.pipeline.scene.system_files import NAMES, arrays_of
+from stickslip.pipeline.scene.system_files import NAMES, arrays_of, series_of
 from stickslip.pipeline.scene.toml import shown
 from stickslip.sim.numerics.arguments import per_block
 from stickslip.sim.runs.blocks import named
+from stickslip.sim.systems.drive import Piecewise
 from stickslip.sim.systems.system import System
 from stickslip.sim.systems.terms import OF_BLOCKS
 
@@ -37,11 +41,22 @@ BY_BLOCK = (*OF_BLOCKS, "z0", "w0")
 #: The number of a realisation: what a file says, or what a function is given that takes it.
 REALISATION = "realisation"
 
+#: What may come from a file each.
+_PARTS = {"stiffness", *BY_BLOCK}
+
 #: Entries of directories at most that are looked at for a pattern.
 _MAX_ENTRIES = 100_000
 
 #: What errors call the file, and the function.
 _PATH, KEY = "system.path", "system.coupling"
+
+
+class OtherFile(NamedTuple):
+    """A file of one more array of a system: the name of the array, where the file lies, and what that calls it."""
+
+    array: str
+    at: str
+    variable: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +72,8 @@ class SystemFile:
     arrays: tuple[str, ...]
     version: int
     parameters: tuple[tuple[str, float], ...] = ()
+    variable: str = ""  #: what it calls K, if the scene says so
+    others: tuple[OtherFile, ...] = field(default=(), compare=False)  #: of which `sha256` is, too
     is_graph: bool = False  #: whether it holds a graph, and no K
     copy: int = 0  #: how many files before it are equal to it: realisations that came out the same
 
@@ -116,19 +133,37 @@ def read(file: SystemFile) -> Mapping[str, Any]:
 
     Raises `SceneError` if it is gone, or not what it was.
     """
-    return _read(file.at, file.sha256, file.is_graph)
+    return _read(file.at, file.sha256, file.is_graph, file.variable, file.others)
 
 
 @lru_cache(maxsize=2)
-def _read(at: str, sha256: str, is_graph: bool) -> Mapping[str, Any]:
-    content = content_of(Path(at), _PATH)
-    actual = digest(content)
+def _read(at: str, sha256: str, is_graph: bool, variable: str, others: tuple[OtherFile, ...]) -> Mapping[str, Any]:
+    system = _Content(at, content_of(Path(at), _PATH), variable)
+    rest = {other.array: _Content(other.at, content_of(Path(other.at), _PATH), other.variable) for other in others}
+    actual = _digest(system, rest)
     if actual != sha256:
         raise SceneError(
             f"system.path: expected {at} as it was when the scene was read (sha256 {sha256[:12]}), got another "
             f"(sha256 {actual[:12]}); restore the file, or run the scene with it into another directory"
         )
-    return _arrays(at, content, is_graph)
+    return _arrays(system, rest, is_graph)
+
+
+class _Content(NamedTuple):
+    """What a file holds, by which name it is called, and what it calls the array that is read of it."""
+
+    name: str
+    bytes: bytes
+    variable: str
+
+
+def _digest(system: _Content, others: Mapping[str, _Content]) -> str:
+    """The sha256 of a file; or of several, with what they call the arrays."""
+    if not system.variable and not others:
+        return digest(system.bytes)
+    parts = {"stiffness": system, **others}
+    words = [f"{array} {part.variable} {digest(part.bytes)}" for array, part in sorted(parts.items())]
+    return digest("\n".join(words).encode())
 
 
 def look_again(origin: SystemFile | OwnFunction) -> None:
@@ -142,25 +177,82 @@ def look_again(origin: SystemFile | OwnFunction) -> None:
         own.look_again(origin)
 
 
-def _arrays(name: str, content: bytes, is_graph: bool) -> dict[str, Any]:
+def _arrays(system: _Content, others: Mapping[str, _Content], is_graph: bool) -> dict[str, Any]:
+    with _naming(_PATH, system.name, "a graph" if is_graph else "K"):
+        if is_graph:
+            arrays = graph_of(system.bytes, BY_BLOCK)
+        else:
+            arrays = arrays_of(system.bytes, BY_BLOCK, variable=system.variable)
+    for array, part in others.items():
+        if array in arrays:
+            raise SceneError(f"system.path: expected `{array}` in one file, got it in {system.name} too; remove one")
+        with _naming(f"{_PATH}.{array}", part.name, array):
+            arrays |= arrays_of(part.bytes, (), array, part.variable)
+    return arrays
+
+
+def look_at_series(key: str, table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The table of a `Measured`, with what its file holds; `key` is what errors begin with.
+
+    Raises `SceneError` if the file cannot be read, or does not hold times that increase, and values.
+    """
+    name, columns = table["table"], table.get("columns", [])
+    content = content_of(folder / name, key)
+    times, values = read_series(key, name, content, columns)
+    if not (np.diff(times) > 0).all():
+        k = int(np.argmin(np.diff(times) > 0))
+        raise SceneError(
+            f"{key}: {name}: expected times that increase, got {times[k + 1]:.15g} after {times[k]:.15g} in row"
+            f" {k + 2} of the numbers; leave one out"
+        )
+    facts = {"sha256": digest(content), "n": len(times), "extremes": [float(values.min()), float(values.max())]}
+    return {**table, "series": facts}
+
+
+@lru_cache(maxsize=4)
+def read_measured(value: Measured) -> Piecewise:
+    """The series of a file, as it was when the scene was read.
+
+    Raises `SceneError` if it is gone, or another.
+    """
+    content = content_of(Path(value.at), value.table)
+    if digest(content) != value.sha256:
+        raise SceneError(
+            f"{value.table}: expected {value.at} as it was when the scene was read (sha256 {value.sha256[:12]}), got"
+            " another; restore the file, or run the scene with it into another directory"
+        )
+    return Piecewise(*read_series(value.table, value.at, content, value.columns))
+
+
+@contextlib.contextmanager
+def _naming(key: str, name: str, what: str) -> Iterator[None]:
+    """Within: what goes wrong with a file is a `SceneError` with its name, and with what it was to hold."""
     try:
-        return graph_of(content, BY_BLOCK) if is_graph else arrays_of(content, BY_BLOCK)
+        yield
     except OtherKind as error:
         also = 'write coupling = "graph", which reads it, or ' * error.kind.is_graph
         raise SceneError(
-            f"system.path: {name}: expected an .npz, .npy or Matrix Market file of K, got {error}; {also}convert it"
+            f"{key}: {name}: expected {FORMATS} of {what}, got {error}; {also}convert it"
             f" in Python, and name what that writes: {error.line(name)}"
         ) from None
     except Exception as error:  # readers raise a dozen kinds of errors for damaged files, which no list names
-        if is_graph:
+        if what == "a graph":
             raise SceneError(
-                f"system.path: {name}: expected a graph: rows i, j and perhaps a weight, GraphML, or an adjacency"
+                f"{key}: {name}: expected a graph: rows i, j and perhaps a weight, GraphML, or an adjacency"
                 f" matrix as .npz, .npy, Matrix Market or CSV ({_line(error)}); correct the file, or the path"
             ) from error
         raise SceneError(
-            f"system.path: {name}: expected a whole .npz, .npy or Matrix Market file of K ({_line(error)}); "
-            f'write it again, as numpy.savez("K.npz", stiffness=K) does, or correct the path'
+            f"{key}: {name}: expected {FORMATS} of {what} ({_line(error)}); correct the file, or the path"
         ) from error
+
+
+def read_series(key: str, name: str, content: bytes, columns: Sequence[str | int] = ()) -> tuple[Any, Any]:
+    """Two rows of numbers of one length, shape (k,) each, that a file holds; `key` is what errors begin with.
+
+    Raises `SceneError` if it does not.
+    """
+    with _naming(key, name, "two columns of numbers"):
+        return series_of(content, columns)
 
 
 def _line(error: Exception) -> str:
@@ -169,36 +261,54 @@ def _line(error: Exception) -> str:
     return why if len(why) < 300 else f"{why[:297]}..."  # it may show an array
 
 
-def _checked(name: str, content: bytes, is_graph: bool) -> dict[str, Any]:
-    """What a scene says of a file that was read, as plain values."""
-    arrays = _arrays(name, content, is_graph)
+def _checked(system: _Content, others: Mapping[str, _Content], is_graph: bool) -> dict[str, Any]:
+    """What a scene says of a file that was read, and of more with it, as plain values."""
+    arrays = _arrays(system, others, is_graph)
     make = partial(System.from_graph, arrays["edges"]) if is_graph else partial(System, arrays["stiffness"])
     try:
-        system = make(**{"damping": 0.0} | {k: arrays[k] for k in OF_BLOCKS if k in arrays})
+        checked = make(**{"damping": 0.0} | {k: arrays[k] for k in OF_BLOCKS if k in arrays})
         for key in ("z0", "w0"):
-            per_block(key, arrays.get(key, 0.0), system.n)
-        names = named(arrays.get(NAMES, ()), system.n)
+            per_block(key, arrays.get(key, 0.0), checked.n)
+        names = named(arrays.get(NAMES, ()), checked.n)
     except (TypeError, ValueError, MemoryError) as error:
-        raise SceneError(f"system.path: {name}: {_line(error)}") from None
+        also = "".join(f", {part.name}" for part in others.values())
+        raise SceneError(f"system.path: {system.name}{also}: {_line(error)}") from None
     return {
-        "sha256": digest(content),
-        "n": system.n,
-        "scale": float(abs(system.stiffness).max()),
-        "entries": system.stiffness.size,
-        "is_sparse": not isinstance(system.stiffness, np.ndarray),
+        "sha256": _digest(system, others),
+        "n": checked.n,
+        "scale": float(abs(checked.stiffness).max()),
+        "entries": checked.stiffness.size,
+        "is_sparse": not isinstance(checked.stiffness, np.ndarray),
         "arrays": [key for key in BY_BLOCK if key in arrays],
         "version": 3 if REALISATION in arrays.get("parameters", {}) else 2,
         **({"parameters": arrays["parameters"]} if "parameters" in arrays else {}),
         **({NAMES: [*names]} if names else {}),
+        **({"variable": system.variable} if system.variable else {}),
     }
 
 
-def look_at_files(pattern: str, folder: Path, is_graph: bool = False) -> dict[str, dict[str, Any]]:
+def is_path(path: object) -> TypeGuard[str | dict[str, str]]:
+    """Whether something names files as `look_at_files` takes them; what does not is refused later."""
+    if not isinstance(path, dict):
+        return isinstance(path, str)
+    return "stiffness" in path and all(isinstance(file, str) for file in path.values()) and {*path} <= _PARTS
+
+
+def split(path: str, folder: Path) -> tuple[str, str]:
+    """The file and the variable that a scene names, as in "model.mat:K"; "" if it names a file alone."""
+    file, _, variable = path.rpartition(":")
+    return (file, variable) if file and variable.isidentifier() and not (folder / path).exists() else (path, "")
+
+
+def look_at_files(path: str | Mapping[str, str], folder: Path, is_graph: bool = False) -> dict[str, dict[str, Any]]:
     """Digest and facts of each file that a pattern matches, by its name beside the scene, as plain values.
 
-    From then on the scene can be read without them, and a changed file makes another scene. Raises `SceneError` if
-    there is no such file, or it holds no system.
+    From then on the scene can be read without them, and a changed file makes another scene. `path` may name one file
+    for each of several arrays. Raises `SceneError` if there is no such file, or it holds no system.
     """
+    paths = {"stiffness": path} if isinstance(path, str) else dict(path)
+    first = paths.pop("stiffness")
+    pattern, variable = (first, "") if is_graph else split(first, folder)
     files = [folder / pattern] if os.path.isfile(folder / pattern) else _glob(folder, pattern)
     if not files and os.path.isdir(folder / pattern):
         raise SceneError(f"system.path: expected a file, got the directory {pattern!r}; name a file in it")
@@ -212,9 +322,16 @@ def look_at_files(pattern: str, folder: Path, is_graph: bool = False) -> dict[st
     odd = next((name for name in names if not name.isprintable()), None)
     if odd is not None:  # what is no UTF-8 a scene could not name
         raise SceneError(f"system.path: expected files with printable names, got {odd!a}; rename it")
-    return {
-        name: _checked(str(file), content_of(file, _PATH), is_graph) for name, file in zip(names, files, strict=True)
-    }
+    others, keys = {}, {}
+    for array, other in paths.items():
+        name, of_other = split(other, folder)
+        keys[array] = [name, of_other]
+        others[array] = _Content(name, content_of(folder / name, f"{_PATH}.{array}"), of_other)
+    facts = {}
+    for name, file in zip(names, files, strict=True):
+        system = _Content(str(file), content_of(file, _PATH), variable)
+        facts[name] = _checked(system, others, is_graph) | ({"others": keys} if keys else {})
+    return facts
 
 
 def _glob(folder: Path, pattern: str) -> list[Path]:

@@ -267,7 +267,7 @@ class System:
         """The number of a block, from 0, by its name or its number; ValueError if there is none."""
         return numbered("block", name, self.names, self.n)
 
-    def driven(self, block: str | int, spring: float, speed: float, **others: float) -> System:
+    def driven(self, block: str | int, spring: float, speed: float | Piecewise, **others: float) -> System:
         """The system in the frame of a drive, which draws a block along through a spring; eqs. in `systems.driven`.
 
         Displacements are those from where the drive has come; blocks that turn with it have w = 0.
@@ -277,8 +277,9 @@ class System:
         block : str or int
         spring : float
             Stiffness of the spring, > 0; K is without it.
-        speed : float
-            Of the drive; belt speeds of this system are against the ground, 0 for what rests.
+        speed : float or Piecewise
+            Of the drive, linear between times; belt speeds of this system are against the ground, 0 for what rests.
+            The frame of a `Piecewise` has its last speed, if it comes to that, or its mean.
         **others
             `damping` of the spring, by default 0; and of a harmonic part of the speed, amplitude cos(frequency t +
             phase), its `amplitude`, `frequency` > 0 and `phase`.

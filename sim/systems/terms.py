@@ -262,9 +262,11 @@ TERMS = (
     ),
     Term(
         name="drive_speed",
-        words="speed of the drive against the ground, in whose frame all motion is; belts then rest by default",
+        words="speed of the drive against the ground, in whose frame all motion is, or its course in time; belts then"
+        " rest by default",
         column="speed of the drive",
         example=0.1,
+        in_time=True,
         part="drive",
         table="drive",
         dimension="speed",

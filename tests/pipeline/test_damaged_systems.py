@@ -14,6 +14,7 @@ import scipy.sparse
 
 from stickslip.pipeline.machine.processes import Child
 from stickslip.pipeline.scene import system_files, systems
+from stickslip.pipeline.scene.readers import npz
 from tests.damaged import DAMAGE, NO_FILES, judge
 
 N_KINDS = len(DAMAGE | NO_FILES)
@@ -42,12 +43,12 @@ def test_an_array_that_is_longer_than_there_may_be_blocks_is_not_unpacked(name, 
     arrays = {"data": K.data, "indices": K.indices, "indptr": K.indptr, "shape": K.shape, "format": b"csc"}
     stream = io.BytesIO()
     np.savez_compressed(stream, **(arrays | {name: np.zeros(1_000_000)}))
-    read = system_files._npy
+    read = npz._npy
 
     def reads(one, *rest):
         assert one != name
         return read(one, *rest)
 
-    monkeypatch.setattr(system_files, "_npy", reads)
+    monkeypatch.setattr(npz, "_npy", reads)
     with pytest.raises(ValueError, match=f"{name}: expected at most \\d+ of them, got 8000128 bytes"):
         system_files.arrays_of(stream.getvalue(), systems.BY_BLOCK)

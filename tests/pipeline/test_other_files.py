@@ -1,10 +1,11 @@
-"""Files of K that other programs write: each is named, and the line of Python that the message gives converts it."""
+"""Files that other programs write: numbers are read, or a file is named with the line of Python that converts it."""
 
 import bz2
 import gzip
 import io
 import json
 import lzma
+import os
 import pickle
 import zipfile
 
@@ -16,7 +17,9 @@ import scipy.io
 import scipy.sparse
 
 from stickslip.pipeline import SceneError
-from stickslip.pipeline.scene.systems import BY_BLOCK, arrays_of, look_at_files
+from stickslip.pipeline.scene.readers.reader import in_child
+from stickslip.pipeline.scene.system_files import arrays_of, series_of
+from stickslip.pipeline.scene.systems import BY_BLOCK, look_at_files
 
 K = np.array([[2.5, -1.0, 0.0, 0.25], [-1.0, 2.0, -1.0, 0.0], [0.0, -1.0, 2.0, -1.0], [0.25, 0.0, -1.0, 3.0]])
 FRAME = pd.DataFrame(K)
@@ -41,21 +44,6 @@ MTX = written(lambda stream: scipy.io.mmwrite(stream, K))
 
 #: Name of a file -> its content, what the message calls it, and K.
 FILES = {
-    "k.csv": (FRAME.to_csv(header=False, index=False).encode(), "a CSV file", K),
-    "head.csv": (FRAME.to_csv(index=False).encode(), "a CSV file", K),
-    "labels.csv": (FRAME.rename(columns="b{}".format).to_csv().encode(), "a CSV file", K),
-    "bom.csv": (b"\xef\xbb\xbf" + FRAME.to_csv(header=False, index=False).encode(), "a CSV file", K),
-    "comma.csv": (FRAME.to_csv(header=False, index=False, sep=";", decimal=",").encode(), "a CSV file", K),
-    "k.tsv": (FRAME.to_csv(header=False, index=False, sep="\t").encode(), "a CSV file", K),
-    "k.txt": (written(lambda stream: np.savetxt(stream, K, header="K")), "a text of numbers", K),
-    "two.csv": (b"2,-1\n-1,2\n", "a CSV file", [[2, -1], [-1, 2]]),
-    "edges.csv": (b"source,target,weight\n0,1,1.0\n1,2,2.0\n2,3,3.0\n3,3,0\n", "a text that lists edges", PATH),
-    "edges.txt": (b"# from to weight\n0 1 1.0\n1 2 2.0\n2 3 3.0\n3 2 3.0\n", "a text that lists edges", PATH),
-    "pairs.txt": (b"0\t1\n1\t2\n2\t3\n3\t2\n", "a text that lists edges", PAIRS),
-    "v5.mat": (written(lambda stream: scipy.io.savemat(stream, {"K": K})), "a MATLAB file", K),
-    "sparse.mat": (
-        written(lambda stream: scipy.io.savemat(stream, {"K": scipy.sparse.csc_array(K)})), "a MATLAB file", K,
-    ),
     "g.graphml": (graph(networkx.generate_graphml), "a text of GraphML", PATH),
     "g.gexf": (graph(networkx.generate_gexf), "a text of GEXF", PATH),
     "g.gml": (graph(networkx.generate_gml), "a text of GML", PATH),
@@ -67,7 +55,6 @@ FILES = {
     "k.mtx.gz": (gzip.compress(MTX), "a file compressed by gzip", K),
     "k.mtx.bz2": (bz2.compress(MTX), "a file compressed by bzip2", K),
     "k.mtx.xz": (lzma.compress(MTX), "a file compressed by xz", K),
-    'odd "name" \\.csv': (FRAME.to_csv(header=False, index=False).encode(), "a CSV file", K),
 }  # fmt: skip
 
 
@@ -82,7 +69,7 @@ def test_the_line_converts_it(name, tmp_path, monkeypatch):
     content, kind, expected = FILES[name]
     (tmp_path / name).write_bytes(content)
     said = message(tmp_path / name)
-    assert f"expected an .npz, .npy or Matrix Market file of K, got {kind}" in said
+    assert f"a .mat or a CSV file of K, got {kind}" in said
     _, _, line = said.partition("name what that writes: ")
     modules = {"numpy", "scipy", "pandas", "networkx", "pickle", "json", "gzip", "bz2", "lzma"}
     monkeypatch.chdir(tmp_path)
@@ -90,6 +77,116 @@ def test_the_line_converts_it(name, tmp_path, monkeypatch):
     (made,) = (file for file in tmp_path.iterdir() if file.name in ("K", "K.npz", "K.mtx"))
     found = arrays_of(made.read_bytes(), BY_BLOCK)["stiffness"]
     np.testing.assert_array_equal(found if isinstance(found, np.ndarray) else found.toarray(), expected)
+
+
+def mat(**arrays):
+    return written(lambda stream: scipy.io.savemat(stream, arrays))
+
+
+#: Contents of files, each of which holds K.
+READ = {
+    "comma": FRAME.to_csv(header=False, index=False).encode(),
+    "pandas": FRAME.to_csv(index=False).encode(),
+    "numbered": FRAME.to_csv().encode(),
+    "labels": FRAME.rename(columns="b{}".format).to_csv().encode(),
+    "names": FRAME.rename("b{}".format).to_csv(header=False).encode(),
+    "mark": b"\xef\xbb\xbf" + FRAME.to_csv(header=False, index=False).encode(),
+    "semicolon": FRAME.to_csv(header=False, index=False, sep=";", decimal=",").encode(),
+    "wholes last": FRAME[::-1].to_csv(header=False, index=False, sep=";", decimal=",").encode(),
+    "tab": FRAME.to_csv(header=False, index=False, sep="\t").encode(),
+    "trailing": FRAME.to_csv(header=False, index=False, lineterminator=",\r\n").encode(),
+    "utf-16": FRAME.to_csv(header=False, index=False).encode("utf-16"),
+    "blanks": written(lambda stream: np.savetxt(stream, K, header="K")),
+    "blanks and commas": written(lambda stream: np.savetxt(stream, K)).replace(b".", b","),
+    "heads": ("Kräfte in N/µm\n\na;b;c;d\n" + FRAME.to_csv(header=False, index=False, sep=";")).encode("latin-1"),
+    "mat": mat(anything=K),
+    "packed": written(lambda stream: scipy.io.savemat(stream, {"K": K}, do_compression=True)),
+    "sparse": mat(K=scipy.sparse.csc_array(K)),
+    "K of others": mat(K=K, M=np.ones(4), C=np.eye(4)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", READ)
+def test_numbers_are_read_as_they_were_written(case):
+    found = arrays_of(READ[case], BY_BLOCK)["stiffness"]
+    expected = K[::-1] if case == "wholes last" else K
+    np.testing.assert_array_equal(found if isinstance(found, np.ndarray) else found.toarray(), expected)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"1,2\n3,4,5\n6,7\n", r"line 2: expected 2 columns, as in the last line, got 3"),
+        (b"1,2\n3,\n", r"line 2, column 2: expected a finite number, got ''; correct it"),
+        (b"# a\n1,2\n3,nan\n", r"line 3, column 2: expected a finite number, got 'nan'"),
+        (b"1,2\n3,1+2j\n", r"line 2, column 2: expected a finite number, got '1\+2j'"),
+        (b"1;2\n3;1.000,5\n", r"line 2, column 2: expected a finite number, got '1\.000,5'"),
+        (b"0,x\n1,2\n3,4\n", r"line 1, column 2: expected a finite number, got 'x'"),
+        (b"0,1,1.0\n1,2,2.0\n2,3,3.0\n3,3,0\n", r"the shape \(4, 3\); if it lists edges, coupling = .graph. reads"),
+        (mat(A=K, B=K), r"expected an array `stiffness` or `K`.* got A, B; save these alone, or say which"),
+        (mat(K=K, stiffness=K), r"expected each array once, got K, stiffness"),
+        (mat(K=1j * K), r"K: expected real numbers, got complex ones; save real\(K\)"),
+        (mat(K="text"), r"K: expected an array of real numbers, got text"),
+        (mat(s={"K": K}), r"s: expected an array of real numbers, got a struct; save its field"),
+        (mat(K=np.ones((2, 2, 2))), r"K: expected a row or a matrix, got the shape \(2, 2, 2\)"),
+        (mat(K=K, M=K), r"mass: .* a diagonal matrix, got -1 at row 1, column 2; lump it"),
+        (mat(K=K, friction=np.ones(17)), r"friction: expected at most 4 numbers, got the shape \(1, 17\)"),
+        (mat(K=K)[:-7], r"."),
+    ],
+)  # fmt: skip
+def test_what_goes_wrong_with_numbers_is_said(content, words):
+    with pytest.raises(ValueError, match=words):
+        arrays_of(content, BY_BLOCK)
+
+
+def test_masses_are_the_diagonal_of_their_matrix():
+    for mass in (np.diag([1.0, 2.0, 3.0, 4.0]), scipy.sparse.diags_array([1.0, 2.0, 3.0, 4.0]).tocsc(), [1, 2, 3, 4]):
+        assert arrays_of(mat(K=K, M=mass, names=["table", "bit"]), BY_BLOCK)["mass"].tolist() == [1.0, 2.0, 3.0, 4.0]
+
+
+def test_a_reader_that_crashes_is_a_file_that_is_refused():
+    with pytest.raises(ValueError, match="its reader died"):
+        in_child(os._exit, 3)
+
+
+TIMES, SPEEDS = np.arange(4.0), np.array([0.0, 0.5, 0.5, -0.25])
+ROWS = np.column_stack([TIMES, SPEEDS])
+
+
+@pytest.mark.parametrize(
+    ("content", "columns"),
+    [
+        (b"t,v\n" + pd.DataFrame(ROWS).to_csv(header=False, index=False).encode(), ()),
+        (b"n;t;v\n;s;m/s\n" + pd.DataFrame(ROWS).to_csv(header=False, sep=";", decimal=",").encode(), ("t", "m/s")),
+        (pd.DataFrame(ROWS).to_csv(header=False, sep="\t").encode(), (1, 2)),
+        (mat(log=ROWS), ()),
+        (mat(t=TIMES, omega=SPEEDS[:, None]), ()),
+        (mat(time=TIMES, omega=SPEEDS, torque=TIMES), ("time", "omega")),
+        (written(lambda stream: np.savez(stream, values=SPEEDS, times=TIMES)), ()),
+        (written(lambda stream: np.save(stream, ROWS)), ()),
+    ],
+)  # fmt: skip
+def test_a_series_is_two_columns(content, columns):
+    times, values = series_of(content, columns)
+    assert times.tolist() == TIMES.tolist()
+    assert values.tolist() == SPEEDS.tolist()
+
+
+@pytest.mark.parametrize(
+    ("content", "columns", "words"),
+    [
+        (b"0,1,2\n1,2,3\n", (), r'expected two columns, got 3; name two, as columns = \["t", "v"\]'),
+        (b"t,v\n0,1\n", ("t", "w"), r"expected a column 'w', got 't', 'v'"),
+        (b"0,1\n", ("t", "v"), r"expected a column 't', got none with a heading; give numbers from 0"),
+        (b"0,1\n", (0, 2), r"expected a column from 0 to 1, got 2"),
+        (mat(a=TIMES, b=TIMES), (), r'expected two arrays, got a, b; name two, as columns = \["t", "v"\]'),
+        (mat(t=TIMES, v=TIMES[:2]), (), r"expected as many times as values, got 4 and 2"),
+        (mat(t=TIMES, v=TIMES), ("t", "w"), r"expected an array 'w', got t, v"),
+    ],
+)
+def test_what_is_no_series_is_refused(content, columns, words):
+    with pytest.raises(ValueError, match=words):
+        series_of(content, columns)
 
 
 def workbook():
@@ -103,13 +200,16 @@ def workbook():
     ("content", "words"),
     [
         (b"\x89HDF\r\n\x1a\n" + bytes(64), ("an HDF5 file", "h5py.File(")),
-        (b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n", ("a MATLAB file, version 7.3", '["K"][...].T')),
+        (
+            b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n",
+            ("a MATLAB file of version 7.3, which is HDF5: in MATLAB save it with -v7", '["K"][...].T'),
+        ),
         (bytes(512) + b"\x89HDF\r\n\x1a\n", ("an HDF5 file", "h5py.File(")),
         (b"CDF\x01" + bytes(64), ("a NetCDF file", "netcdf_file")),
         (workbook(), ("a workbook", "read_excel")),
         (b"\xd0\xcf\x11\xe0" + bytes(64), ("an Excel file", "read_excel")),
-        (b"a = 1\n[b]\nc = 2\n", ("something else", "numpy.savez")),
-        (bytes(range(256)), ("something else", "numpy.savez")),
+        (b"a = 1\n[b]\nc = 2\n", ("something else", "correct the file")),
+        (bytes(range(256)), ("something else", "correct the file")),
         (b"", ("it is empty",)),
     ],
 )

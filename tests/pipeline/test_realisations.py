@@ -100,7 +100,7 @@ def test_every_file_carries_the_same_numbers(tmp_path):
     with pytest.raises(SceneError, match="expected the same numbers in each file, got one without `rewiring`"):
         written(tmp_path)
     np.savez(tmp_path / "K1.npz", stiffness=chain(4, 2.0), rewiring=[0.1, 0.2])
-    with pytest.raises(SceneError, match="and numbers by other names, got rewiring, stiffness"):
+    with pytest.raises(SceneError, match="and numbers by other names, got stiffness, rewiring"):
         written(tmp_path)
 
 

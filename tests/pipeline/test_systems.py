@@ -228,7 +228,7 @@ def test_what_a_file_claims_is_held_against_memory_before_it_is_read(tmp_path, m
 
 def test_zeros_that_were_packed_are_not_unpacked(tmp_path, monkeypatch):
     """A file of a thousandth of their bytes."""
-    monkeypatch.setattr("stickslip.pipeline.scene.system_files._SMALL", 10**6)
+    monkeypatch.setattr("stickslip.pipeline.scene.readers.npz._SMALL", 10**6)
     np.savez_compressed(tmp_path / "K.npz", stiffness=np.zeros((2000, 2000)))
     (tmp_path / "mine.toml").write_text(SCENE.replace("n = 4", "n = 2000"))
     tracemalloc.start()
@@ -313,7 +313,7 @@ BAD_SCENES = {
     "another kind of file": (
         '"K.npz"',
         '"mine.toml"',
-        ["system.path", "mine.toml: expected a whole .npz", "something else"],
+        ["system.path", "mine.toml: expected an .npz", "something else"],
     ),
     "no path": ('path = "K.npz"\n', "", ["system.path", 'add `path = "K.npz"`']),
     "a path of an ensemble": ('"file"\npath', '"full"\npath', ["system.path", 'coupling = "full"']),

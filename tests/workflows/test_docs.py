@@ -279,7 +279,8 @@ def test_the_numbers_of_a_report_in_python(first, monkeypatch):
 def test_matrices_from_files(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     k = np.diag([0.1, 0.2, 0.3])
-    np.save("dense.npy", k)
+    scipy.io.savemat("model.mat", {"K": k})
+    Path("speed.csv").write_text("t,v\n0.0,0.1\n1.0,0.2\n")
     np.savez("several.npz", K=k)
     scipy.sparse.save_npz("sparse.npz", scipy.sparse.csc_array(k))
     scipy.io.mmwrite("matrix.mtx", scipy.sparse.csc_array(k))
