@@ -133,7 +133,7 @@ def lack(study: Study, what: str) -> Lack:
     reason = _REASONS[basis.code] if basis.n_matrices else Reason.NO_MOTION
     detail = f"{plural(basis.n_matrices, systems(study))}, {plural(basis.n_cascades, 'cascade')}"
     if reason is Reason.DRIFT:
-        detail = f"the number of sticking blocks still drifts after t = {study.settings.t_burn:g}"
+        detail = f"the number of sticking blocks still drifts after t = {study.settings.at(study.settings.t_burn)}"
     return Lack(what, reason, detail * bool(basis.n_matrices))
 
 

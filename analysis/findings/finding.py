@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.pipeline.design.units import Units
+from stickslip.pipeline.design.values import Amount
 
 
 class Form(Enum):
@@ -82,8 +83,10 @@ PER_TIME, TIME_UNITS = ", per unit of time", " time units"
 
 def in_units(said: Any, units: Units) -> Any:
     """A finding, or a part of one, whose quantities have their units."""
-    if isinstance(said, Quantity):
+    if isinstance(said, Quantity | Place | KeyChange):
         return said.measured(units)
+    if isinstance(said, Threshold | Attracting):
+        said = replace(said, unit=units.of_key(said.key))
     if type(said) is tuple:  # a named one has no quantity
         return tuple(in_units(part, units) for part in said)
     if not is_dataclass(said) or isinstance(said, type) or not units:
@@ -192,13 +195,20 @@ class KeyChange(NamedTuple):
     first: str
     second: str
     is_of_size: bool = False
+    unit: str = ""  #: of both; set by `in_units`
+
+    def measured(self, units: Units) -> KeyChange:
+        """The same in the units of data."""
+        has_unit = isinstance(self.first, Amount) and isinstance(self.second, Amount)
+        return self._replace(unit=units.of_key(self.key) if has_unit else "")
 
     @property
     def said(self) -> KeyChange:
         """As a sentence has it: |belt_speed| from 0.2 to 0.1."""
         if not self.is_of_size:
             return self
-        return KeyChange(f"|{self.key}|", self.first.removeprefix("-"), self.second.removeprefix("-"))
+        first, second = (end.removeprefix("-") for end in (self.first, self.second))
+        return self._replace(key=f"|{self.key}|", first=first, second=second)
 
 
 @dataclass(frozen=True)
@@ -388,6 +398,12 @@ class Threshold:
     first: str
     where: Place = EVERYWHERE
     basis: Basis | None = None
+    unit: str = ""  #: of the key; set by `in_units`
+
+    @property
+    def stretch(self) -> str:
+        """The values of the key between which it lies."""
+        return f"{self.last} to {self.first}{f' {self.unit}' * bool(self.unit)}"
 
 
 @dataclass(frozen=True)
@@ -454,11 +470,13 @@ class Attracting:
     basis: Basis | None = None
     horizon: str = ""
     ends: tuple[Level, ...] = ()
+    unit: str = ""  #: of the key; set by `in_units`
 
     @property
     def stretch(self) -> str:
         """The values of the key."""
-        return self.low if self.low == self.high else f"{self.low} to {self.high}"
+        ends = self.low if self.low == self.high else f"{self.low} to {self.high}"
+        return f"{ends} {self.unit}" if self.unit else ends
 
 
 class Truth(StrEnum):
@@ -536,7 +554,10 @@ def levels(finding: Finding) -> list[Level]:
         case Share(key, things, predicate, estimate, where, comparison, basis):
             return [Level(_share(key, things, predicate), estimate, where, comparison, basis)]
         case Change(quantity, keys, _, after, difference, where, basis):
-            key, first, second = (" with ".join(texts) for texts in zip(*(key[:3] for key in keys), strict=True))
+            units = [f" {key.unit}" if key.unit else "" for key in keys]
+            key = " with ".join(change.key for change in keys)
+            first = " with ".join(change.first + unit for change, unit in zip(keys, units, strict=True))
+            second = " with ".join(change.second + unit for change, unit in zip(keys, units, strict=True))
             comparison = Comparison(f"{key} = {first}", difference)
             return [Level(quantity, after, Place.key(key, second) + where, comparison, basis)]
         case Law(parameter=parameter, departure=departure):
@@ -546,9 +567,9 @@ def levels(finding: Finding) -> list[Level]:
         case Alike(quantity, value, among, where, basis):
             place = where if basis is not None else where + Place.words(among)
             return [Level(quantity, Estimate(value), place, basis=basis)]
-        case Threshold(subject, is_end, key, last, first, where, basis):
+        case Threshold(subject, is_end, key, where=where, basis=basis):
             quantity = Quantity("threshold", f"where {subject} {'ends' if is_end else 'begins'}")
-            return [Level(quantity, Estimate(), Place.key(key, f"{last} to {first}") + where, basis=basis)]
+            return [Level(quantity, Estimate(), Place.key(key, finding.stretch) + where, basis=basis)]
         case Regime(things, (predicate,), _, _, share, where, basis):
             return [Level(_share("regime", things, predicate), share, where, basis=basis)]
         case Attracting(attractors, key, where=where, basis=basis):

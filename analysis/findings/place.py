@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from stickslip.pipeline.design.labels import Label, Part
+from stickslip.pipeline.design.units import Units
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,10 @@ class Place:
     def words(cls, text: str) -> Place:
         """A place that has no key, as a method or "with every engine"; everywhere, if the text is empty."""
         return cls((("", text),)) if text else cls()
+
+    def measured(self, units: Units) -> Place:
+        """The same in the units of data."""
+        return Place(tuple((key, units.amount(key, value)) for key, value in self.parts))
 
     def __add__(self, other: Place) -> Place:
         return Place(self.parts + other.parts)

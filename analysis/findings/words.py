@@ -17,6 +17,7 @@ from stickslip.analysis.findings.finding import (
     Finding,
     Fit,
     Form,
+    KeyChange,
     Lack,
     Law,
     Level,
@@ -65,9 +66,8 @@ def clause(finding: Finding) -> str:
             return _outcomes(finding)
         case Threshold(subject, is_end, key, last, first, where, basis):
             in_all = "" if basis is None or basis.n == 1 else f", in all {plural(basis.n, basis.unit)}"
-            return (
-                f"{subject} {'ends' if is_end else 'begins'} between {key} = {last} and {first}{where.tail}{in_all}"
-            )
+            ends = f"{'ends' if is_end else 'begins'} between {key} = {last} and {first}{_in(finding)}"
+            return f"{subject} {ends}{where.tail}{in_all}"
         case Regime():
             return _regime(finding)
         case Attracting():
@@ -121,9 +121,9 @@ def _level(level: Level) -> str:
     return f"{name}: {_value(level.quantity, level.estimate)}{_compared(level.comparison, level.quantity)}"
 
 
-def _in(quantity: Quantity) -> str:
-    """The unit of a quantity, after its value."""
-    return f" {quantity.unit}" if quantity.unit else ""
+def _in(said: Quantity | KeyChange | Threshold) -> str:
+    """The unit of a quantity or a key, after its value."""
+    return f" {said.unit}" if said.unit else ""
 
 
 def _value(quantity: Quantity, estimate: Estimate) -> str:
@@ -277,8 +277,8 @@ def _along(change: Change) -> str:
     head, *tails = (key.said for key in change.keys)
     return listed(
         [
-            f"{head.key} goes from {head.first} to {head.second}",
-            *(f"{key.key} from {key.first} to {key.second}" for key in tails),
+            f"{head.key} goes from {head.first} to {head.second}{_in(head)}",
+            *(f"{key.key} from {key.first} to {key.second}{_in(key)}" for key in tails),
         ]
     )
 

@@ -88,7 +88,7 @@ def axis_of_numbers(axes: Iterable[Axis]) -> Axis | None:
 
 def in_words(row: Row) -> str:
     """A value of an axis as pages have it."""
-    return " with ".join(map(text, row))
+    return text(row[0]) if len(row) == 1 else " with ".join(map(text, row))
 
 
 class Source(NamedTuple):

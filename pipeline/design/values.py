@@ -267,9 +267,15 @@ def shown(value: float) -> str:
     return f"{mantissa}e{int(exponent)}"
 
 
+class Amount(str):
+    """The text of a number, or of what numbers are drawn from, which has the unit of its key."""
+
+
 def text(value: object) -> str:
     """A value as pages have it."""
-    return shown(value) if isinstance(value, float) else str(value)
+    if isinstance(value, float | Distribution):
+        return Amount(shown(value) if isinstance(value, float) else value)
+    return str(value)
 
 
 def rank(value: object) -> Rank:

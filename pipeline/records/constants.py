@@ -14,7 +14,7 @@ from stickslip.sim.systems.drive import Harmonic, Piecewise
 _of_block = partial(Column, "numbers", along="block")
 _of_entry = partial(Column, along="constant_entry")
 #: What a harmonic force has of each block, and the dimension of each.
-_HARMONIC = {"amplitude": "force", "frequency": "frequency", "phase": ""}
+_HARMONIC = {"amplitude": "force", "frequency": "angular_frequency", "phase": ""}
 
 
 class Constants(Record):

@@ -31,6 +31,7 @@ from stickslip.pipeline.design.values import (
 )
 from stickslip.pipeline.scene.toml import once, shown, unquoted
 from stickslip.sim.numerics.arguments import did_you_mean
+from stickslip.sim.systems.system import NORMAL_FORCE
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,8 @@ class Key:
             if isinstance(value, list | tuple):
                 raise ValueError(f"expected no course in a list, got {shown(entry)}; write one, without brackets")
             return course(entry)
+        if isinstance(entry, dict) and entry.keys() & {"times", "values", "table", "amplitude"}:
+            raise ValueError(f"expected a number that is constant in time, got {shown(entry)}; {NORMAL_FORCE}")
         if self.ratio_of and isinstance(entry, dict) and "ratio" in entry:
             return self._ratio(entry)
         if isinstance(entry, dict) and self.names:

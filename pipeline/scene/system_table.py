@@ -52,6 +52,7 @@ from stickslip.sim.runs.blocks import named, numbered
 from stickslip.sim.systems.couplings import COUPLINGS
 from stickslip.sim.systems.drive import direction
 from stickslip.sim.systems.graphs import GRAPHS
+from stickslip.sim.systems.system import NORMAL_FORCE
 from stickslip.sim.systems.terms import OF_BLOCKS, TERMS, Term
 from stickslip.sim.systems.weakening import LAWS, Table
 
@@ -335,6 +336,18 @@ def _either_files(schema: dict[str, Any]) -> None:
     schema |= {"if": of_files, "then": {"required": required}, "else": {"required": [*required, "n"]}}
 
 
+def _contacts(given: Any) -> Any:
+    """Blocks as a tuple; what is said of contacts besides is refused."""
+    blocks = as_tuple(given)
+    if isinstance(given, dict) or (isinstance(blocks, tuple) and any(isinstance(block, dict) for block in blocks)):
+        raise ValueError(f"expected the blocks that have friction, got {shown(given)}; {NORMAL_FORCE}")
+    return blocks
+
+
+#: What users may call the normal force of a contact, and its loss.
+_NORMAL_FORCES = ("normal", "normal_force", "normal_load", "lift_off")
+
+
 class _Source(StrictTable):
     model_config = ConfigDict(json_schema_extra=_either_files)
     coupling: Annotated[str, AfterValidator(_coupling)] = Field(
@@ -369,7 +382,7 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
     drive: DriveTable | None = Field(
         default=None, description="a drive that draws a block along through a spring; see [system.drive]"
     )
-    contacts: Annotated[tuple[Annotated[int, Field(ge=0)] | str, ...], BeforeValidator(as_tuple)] | None = Field(
+    contacts: Annotated[tuple[Annotated[int, Field(ge=0)] | str, ...], BeforeValidator(_contacts)] | None = Field(
         default=None,
         description="the blocks that have friction, by name, or by number from 0; all if left out",
         examples=[["bit"]],
@@ -394,6 +407,17 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
     files: Annotated[dict[str, FileTable] | None, WithJsonSchema({"type": "object"})] = Field(
         default=None, description="what the files were when the scene was read: written by stickslip"
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_normal_force(cls, table: Any) -> Any:
+        for key in _NORMAL_FORCES if isinstance(table, dict) else ():
+            if key in table:
+                raise ValueError(
+                    f"{key}: expected none, got {shown(table[key])}: `friction` is the coefficient times the normal"
+                    f" force; {NORMAL_FORCE}"
+                )
+        return table
 
     @property
     def quantities(self) -> dict[str, Quantity | None]:

@@ -83,6 +83,11 @@ class Scales:
 
     @property
     def frequency(self) -> float:
+        """In 1/s."""
+        return 1.0 / self.time
+
+    @property
+    def angular_frequency(self) -> float:
         """In radians a second."""
         return 1.0 / self.time
 

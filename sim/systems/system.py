@@ -33,6 +33,11 @@ if TYPE_CHECKING:  # takes a tenth of a second to load, and few systems need it
     import scipy.sparse
 
 
+#: What is to be done where a normal force is not constant.
+NORMAL_FORCE = (
+    "no engine has friction that changes in time, or lift-off: run several constant values; a normal force that"
+    " follows another block, and stays above 0, is a part of K (in the guide: a contact whose normal force varies)"
+)
 #: Of a product of two numbers, over its size, with some room.
 _ROUNDING = 1e-15
 #: The most blocks of which the norm of C is computed, some hundredth of a second.
@@ -153,6 +158,8 @@ class System:
             raise ValueError("stiffness: expected finite entries, got NaN or infinity")
         entries.flags.writeable = False
         n = matrix.shape[0]
+        for name, value in (("friction", friction), ("static", static), ("mass", mass)):
+            _require_constant(name, value)
         mu = per_block("friction", friction, n, "mu >= 0")
         object.__setattr__(self, "stiffness", matrix)
         diagonal, cross = _damping(damping, n)
@@ -211,6 +218,7 @@ class System:
             As `System`; or if a normal load is negative, or there is nothing by which to scale.
         """
         coefficients = cls(stiffness, damping, friction, belt_speed, static, mass=mass, **others)
+        _require_constant("normal", normal)
         load = per_block("normal", normal, coefficients.n, "normal >= 0")
         physical = coefficients.changed(
             friction=coefficients.friction * load,
@@ -775,6 +783,14 @@ def _static(static: ArrayLike | None, mu: Floats, weakening: Weakening | None) -
             " leave it out for the same"
         )
     return held
+
+
+def _require_constant(name: str, value: Any) -> None:
+    """TypeError if what is to be a number changes in time."""
+    parts = value if isinstance(value, list | tuple) else [value]
+    changing = [part for part in parts if isinstance(part, Piecewise | Harmonic) or callable(part)]
+    if changing:
+        raise TypeError(f"{name}: expected numbers that are constant in time, got {changing[0]!r}; {NORMAL_FORCE}")
 
 
 def _weakening(weakening: Weakening | None, static: ArrayLike | None) -> Weakening | None:

@@ -236,7 +236,7 @@ TERMS = (
         part="force",
         table="force",
         heading="frequency",
-        dimension="frequency",
+        dimension="angular_frequency",
     ),
     Term(
         name="force_phase",
@@ -289,7 +289,7 @@ TERMS = (
         is_above=True,
         part="drive",
         table="drive",
-        dimension="frequency",
+        dimension="angular_frequency",
     ),
     Term(
         name="drive_phase",

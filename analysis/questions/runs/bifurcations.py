@@ -56,6 +56,7 @@ def pictures(study: Study, grid: Grid, boundaries: Sequence[Boundary] = ()) -> d
     ]
     places = np.unique(np.linspace(0, len(lines) - 1, min(len(lines), MOST_DIAGRAMS)).round().astype(int))
     figures: dict[str, Picture] = {}
+    units = study.settings.units
     for k in places:
         setting = lines[k][0]
         places_on_line = {str(setting.where) for setting in lines[k]}
@@ -72,7 +73,7 @@ def pictures(study: Study, grid: Grid, boundaries: Sequence[Boundary] = ()) -> d
             f"{left_out * bool(sections.n_left_out)}"
         )
         name = f"bifurcation_{len(figures) + 1}" if figures else "bifurcation"
-        recipe = partial(bifurcation, grid.axes[0].name, sections, str(where), study.settings.units)
+        recipe = partial(bifurcation, units.label_of_key(grid.axes[0].name), sections, str(where), units)
         figures[name] = Picture(recipe, caption)
     return figures
 

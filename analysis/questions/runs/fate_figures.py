@@ -88,11 +88,14 @@ def pictures(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> dict[st
     settings = grid.settings
     if len({setting.kinds for setting in settings} | {(kind,) for setting in settings for kind in setting.kinds}) > 1:
         if len(grid.axes) > 1:
-            figures |= _maps(grid)
+            figures |= _maps(grid, study.settings.units)
         elif len(settings) > 1:
             counts = {kind: [setting.runs.n_of(kind) for setting in settings] for kind in OUTCOMES}
             caption = "One colour: all runs end alike. Shares of runs by what they do at the end, at each setting."
-            figures["fates"] = Picture(partial(shares, *_names(grid, settings), counts), caption)
+            key, values = _names(grid, settings)
+            figures["fates"] = Picture(
+                partial(shares, study.settings.units.label_of_key(key), values, counts), caption
+            )
     figures |= _basin(study, grid)
     if any(curve[1][-1] < 1.0 for curve in curves.values()):
         figures["survival"] = _survival(study, grid, curves)
@@ -137,7 +140,7 @@ def shares(
 # ------------------------------------------------------------------------------------------------- over two keys
 
 
-def _maps(grid: Grid) -> dict[str, Picture]:
+def _maps(grid: Grid, units: Units) -> dict[str, Picture]:
     """What most runs settle on or do over the first two axes, at the first value of the others, of each method."""
     across, up, *further = grid.axes
     figures: dict[str, Picture] = {}
@@ -154,12 +157,14 @@ def _maps(grid: Grid) -> dict[str, Picture]:
         where = Place(tuple((axis.name, in_words(row)) for axis, row in further_by_row)) + Place.of(method)
         caption = f"Dots mark settings where runs differ. What most runs do{f' ({where})' if where else ''}."
         name = f"fates_{len(figures) + 1}" if figures else "fates"
-        figures[name] = Picture(partial(over_two_keys, across, up, what, is_mixed), caption)
+        figures[name] = Picture(partial(over_two_keys, across, up, what, is_mixed, units), caption)
     return figures
 
 
 @panel(3.4)
-def over_two_keys(ax: Axes, across: Axis, up: Axis, what: np.ndarray, is_mixed: np.ndarray) -> None:
+def over_two_keys(
+    ax: Axes, across: Axis, up: Axis, what: np.ndarray, is_mixed: np.ndarray, units: Units = DIMENSIONLESS
+) -> None:
     """A cell for each pair of values of two keys, by what most of its runs do.
 
     `what`, shape (len(up.rows), len(across.rows)), is a place in `OUTCOMES`, and -1 where there is no run. A dot
@@ -182,7 +187,7 @@ def over_two_keys(ax: Axes, across: Axis, up: Axis, what: np.ndarray, is_mixed: 
     for axis, key in ((ax.xaxis, across), (ax.yaxis, up)):
         step = -(-len(key.rows) // _MOST_TICKS)
         axis.set_ticks(np.arange(0, len(key.rows), step) + 0.5, key.texts[::step])
-    ax.set(xlabel=across.name, ylabel=up.name)
+    ax.set(xlabel=units.label_of_key(across.name), ylabel=units.label_of_key(up.name))
     shown_looks = [looks[k] for k in np.unique(what[what >= 0])]
     handles = [Patch(facecolor=look.colour, label=look.words) for look in shown_looks]
     ax.figure.legend(handles=handles, loc="outside upper left", ncols=3, handlelength=1.2)
@@ -279,12 +284,14 @@ def _survival(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> Pictur
     places = np.unique(np.linspace(0, len(settings) - 1, MOST_CURVES).round().astype(int))
     chosen = [settings[k] for k in places]
     key, values = _names(grid, chosen)
+    unit = study.settings.units.of_key(key)
+    tail = f" {unit}" if unit else ""
     alike: dict[tuple[bytes, bytes], list[int]] = {}
     for k, setting in enumerate(chosen):
         t, share, _, _ = curves[setting.where]
         alike.setdefault((t.tobytes(), share.tobytes()), []).append(k)
     named_curves = {
-        f"{key} = " * bool(key) + listed([values[k] for k in same]): curves[chosen[same[0]].where]
+        f"{key} = " * bool(key) + listed([values[k] for k in same]) + tail: curves[chosen[same[0]].where]
         for same in alike.values()
     }
     t_end = max(setting.t_end for setting in settings)

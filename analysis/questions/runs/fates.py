@@ -249,7 +249,7 @@ def _shares(study: Study, settings: Sequence[Setting], where: Place) -> list[Fin
     basis = Basis(len(np.unique(runs.units)), unit(study, settings))
     findings: list[Finding] = []
     for row in rows:
-        (predicate,) = predicates([Outcome(row.outcome)], settings)
+        (predicate,) = predicates(study, [Outcome(row.outcome)], settings)
         comparison = _beside(row, published.get(row.outcome))
         if row.outcome == PERIODIC and n_cycles > 1:
             name = "other cycles" if row.cycle is None else f"the cycle of period {row.period:.4g}"

@@ -48,7 +48,7 @@ from stickslip.analysis.stats.estimates import Estimate
 from stickslip.pipeline.design.design import Axis, Unit, in_words
 from stickslip.pipeline.design.design import Row as KeyValues
 from stickslip.pipeline.design.labels import Label, apart, labels
-from stickslip.pipeline.design.values import Named, Value, Values, ranks
+from stickslip.pipeline.design.values import Amount, Named, Value, Values, ranks
 
 MOST_STRETCHES = 3  # of values of a key, that a finding names
 MOST_LEADING = 3  # findings
@@ -278,12 +278,12 @@ def told_apart(study: Study, runs: Runs) -> Runs:
 # ------------------------------------------------------------------------------------------------- words
 
 
-def predicates(outcomes: Sequence[Outcome], settings: Sequence[Setting]) -> tuple[str, ...]:
+def predicates(study: Study, outcomes: Sequence[Outcome], settings: Sequence[Setting]) -> tuple[str, ...]:
     """What runs at some settings do, a verb phrase each; what may yet change comes last, and the last says when."""
     words = [_words(outcome, settings) for outcome in outcomes]
     *words_before, last_word = sorted(words, key=lambda word: "{}" in word)
     ends = {setting.t_end for setting in settings}
-    when = f" at t = {ends.pop():g}" if len(ends) == 1 else " at their end"
+    when = f" at t = {study.settings.at(ends.pop())}" if len(ends) == 1 else " at their end"
     return (*(word.format("") for word in words_before), last_word.format(when))
 
 
@@ -400,7 +400,8 @@ def regimes(
     for outcome in in_order:
         alike_stretches = by_outcome[outcome]
         settings = [setting for stretch in alike_stretches for setting in line[stretch]]
-        where = Place.key(axis.name, listed([text for stretch in alike_stretches for text in _span(line[stretch])]))
+        texts = [text for stretch in alike_stretches for text in _span(line[stretch])]
+        where = Place.key(axis.name, listed(texts) if axis.x is None else Amount(listed(texts)))
         if len(alike_stretches) > MOST_STRETCHES:
             where = Place.words(f"at {len(settings)} of {len(line)} values of {axis.name}")
         rows.append((_regime(study, where + line_place, settings, outcome), settings))
@@ -422,4 +423,4 @@ def _regime(study: Study, where: Place, settings: Sequence[Setting], outcomes: S
         is_bounded = n == n_runs and n_units >= LEAST_UNITS
         share = Estimate(1.0, wilson(n_units, n_units, level)[0], 1.0) if is_bounded else Estimate(1.0)
     basis = Basis(n_units, unit(study, settings))
-    return Regime(things(basis), predicates(outcomes, settings), n, n_runs, share, where, basis)
+    return Regime(things(basis), predicates(study, outcomes, settings), n, n_runs, share, where, basis)

@@ -23,7 +23,6 @@ from stickslip.analysis.steps import Step
 from stickslip.analysis.style import EXACT, panel
 from stickslip.pipeline.design.design import Axis, in_words
 from stickslip.pipeline.design.units import Units
-from stickslip.sim.systems.terms import TERMS
 
 MOST_LINES = 6  # in one figure
 MOST_FIGURES = 8  # of statistics along a key
@@ -32,7 +31,6 @@ DECADES = 30.0  # largest over least value from which an axis is logarithmic
 _LETTERS = 32  # of a line along an axis, and of a legend's name of which two fit beside each other
 _FEW_TICKS = 4  # so few values of a key are its ticks
 Line = tuple[str, Sequence[Estimate]]
-_DIMENSIONS = {term.name: term.dimension for term in TERMS} | {"z": "length", "w": "speed"}
 
 
 def figures(grid: Grid, order: Sequence[str], steps: Sequence[Step], units: Units) -> dict[str, Picture]:
@@ -59,7 +57,7 @@ def figures(grid: Grid, order: Sequence[str], steps: Sequence[Step], units: Unit
             trend = _trend(grid, [step for step in along if step.setting in shown_settings], key, is_of_size)
             caption = f"{capital(title)} {trend}{tail}. Bars are {100 * grid.confidence:g}% intervals."
             what = units.label(title, by_name[name].statistic.dimension)
-            recipe = partial(curves, what, units.label(key, _DIMENSIONS.get(axis.name, "")), x, axis.texts, lines)
+            recipe = partial(curves, what, units.label_of_key(axis.name, key), x, axis.texts, lines)
             pictures[f"sweep_{file}" if name in KEYS else f"sweep_of_{file}"] = Picture(recipe, caption)
     return pictures
 

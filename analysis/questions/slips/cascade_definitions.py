@@ -19,6 +19,7 @@ from stickslip.analysis.series.cascades import SAMPLED
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats.estimates import Estimate, gamma, over_matrices
 from stickslip.analysis.style import CYCLE, GREY, panel
+from stickslip.pipeline.design.units import DIMENSIONLESS, Units
 
 _CAPTION = (
     "By other definitions of a cascade the decay rate depends on the sampling step. Size by drop: the fall of n_stick"
@@ -44,7 +45,8 @@ def compared(study: Study, group: Group) -> Answer:
     table = {"definitions": frame_of(Defined, rows)}
     if len({row.dt for row in rows if row.dt is not None and row.gamma.low is not None}) < 2:
         return Answer(tables=table)
-    return Answer(tables=table, figures={"definitions": Picture(partial(by_step, rows), _CAPTION)})
+    picture = Picture(partial(by_step, rows, study.settings.units), _CAPTION)
+    return Answer(tables=table, figures={"definitions": picture})
 
 
 def _rows(study: Study, group: Group) -> list[Defined]:
@@ -68,7 +70,7 @@ def _of_run(dts: Sequence[float], run: Run) -> np.ndarray:
 
 
 @panel()
-def by_step(ax: Axes, rows: Sequence[Defined]) -> None:
+def by_step(ax: Axes, rows: Sequence[Defined], units: Units = DIMENSIONLESS) -> None:
     """The decay rate against the sampling step, one line a definition; the band is `events`."""
     for row in rows:
         if row.dt is None and row.gamma.low is not None and row.gamma.high is not None:
@@ -80,7 +82,7 @@ def by_step(ax: Axes, rows: Sequence[Defined]) -> None:
         form, errors = ("o-", "D-", "s--", "^--")[k], [value - low, high - value]
         ax.errorbar(dt, value, errors, fmt=form, label=definition, color=CYCLE[k], markersize=3, linewidth=0.9)
     steps = sorted({row.dt for row in rows if row.dt is not None})
-    ax.set(xscale="log", xlabel="sampling step dt", ylabel="decay rate")
+    ax.set(xscale="log", xlabel=units.label("sampling step dt", "time"), ylabel="decay rate")
     ax.set_xticks(steps[:: max(1, -(-len(steps) // 5))])
     ax.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
     ax.xaxis.set_minor_formatter(NullFormatter())

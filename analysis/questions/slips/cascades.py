@@ -414,7 +414,7 @@ def _sizes(sums: Sums, confidence: float) -> list[Size]:
 
 
 def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Mapping[str, list[Size]]) -> dict[str, Picture]:
-    level, burn = study.settings.confidence, f"t = {study.settings.t_burn:g}"
+    level, burn = study.settings.confidence, f"t = {study.settings.at(study.settings.t_burn)}"
     rate, system = lead.estimate(gamma, level), systems(study)
     values, errors = of_systems(lead.parts)
     half = student.half_width(level, PARTS - 1) * errors

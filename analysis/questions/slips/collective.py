@@ -19,8 +19,10 @@ from stickslip.analysis.models.common_motion import SURROGATES, Number, Shown
 from stickslip.analysis.questions.slips.slow_motion import CYCLES, Band, Slow, slow_motion
 from stickslip.analysis.questions.slips.triggering import CLUSTERING, Exits, exits_of, triggered
 from stickslip.analysis.rows import frame_by, frame_of
+from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
+from stickslip.pipeline.design.units import DIMENSIONLESS, Units
 
 WHAT = "collective motion"
 N_STICK = "the number of sticking blocks"
@@ -77,7 +79,7 @@ def answer(study: Study) -> Answer:
             "clustering": frame_by(CLUSTERING, (pairs for group in exits for pairs in group.pairs)),
             "spectrum": frame_of(Band, (band for group in bands.values() for band in group)),
         },
-        figures={"collective": _picture(bands_drawn, lead, where)} if bands_drawn else {},
+        figures={"collective": _picture(bands_drawn, lead, where, study.settings.units)} if bands_drawn else {},
     )
 
 
@@ -100,7 +102,7 @@ def _leading(study: Study, motion: Slow, exits: Sequence[Exits]) -> list[Finding
     unit, where = systems(study), _where(study, motion)
     shares = [share for group in exits for share in triggered(group, where, unit)]
     if not motion.is_shown:
-        return [_lacking(motion, where, study.settings.t_burn), *shares]
+        return [_lacking(motion, where, study.settings), *shares]
     return [_share(motion, where, unit), *_fit(motion, where, unit), *shares]
 
 
@@ -119,28 +121,29 @@ def _fit(motion: Slow, where: Place, unit: str) -> list[Finding]:
     ]
 
 
-def _lacking(motion: Slow, where: Place, t_burn: float) -> Lack:
+def _lacking(motion: Slow, where: Place, settings: AnalysisSettings) -> Lack:
     """Why no slow common motion is shown."""
     what = f"slow common motion{where.tail}"
     if motion.shown is Shown.NONE:
         return Lack(what, Reason.NOT_SHOWN, f"p = {motion.fit.p:.2g}")
-    return Lack(what, Reason.SHORT_WINDOW, f"runs to t = {motion.needed(t_burn):,.0f} may suffice")
+    needed = f"{motion.needed(settings.t_burn):,.0f} {settings.units.time}".rstrip()
+    return Lack(what, Reason.SHORT_WINDOW, f"runs to t = {needed} may suffice")
 
 
 # ---------------------------------------------------------------------------------------------- the figure
 
 
-def _picture(drawn: Mapping[str, Sequence[Band]], motion: Slow, where: Place) -> Picture:
+def _picture(drawn: Mapping[str, Sequence[Band]], motion: Slow, where: Place, units: Units) -> Picture:
     """Power at long periods, with the fit of slow common motion and, of the group that leads, its goodness."""
     power = f"the power spectrum of {N_STICK}"
     words = f"Dashed: time-shifted blocks; bars: intervals; periods over {CYCLES:g} of a block's own cycles"
     if not motion.is_shown:
         shows = "does not rise above" if motion.shown is Shown.NONE else "takes longer runs to tell from"
         caption = f"At long periods {power} {shows} that of time-shifted blocks. {words}."
-        return Picture(partial(spectrum, drawn), caption)
+        return Picture(partial(spectrum, drawn, units), caption)
     fit, quality = motion.goodness, number(motion.fit.values[Number.QUALITY][0], digits=2)
     return Picture(
-        partial(spectrum, drawn),
+        partial(spectrum, drawn, units),
         f"At long periods {power} rises above that of time-shifted blocks. {words}; lines through marks: a damped"
         f" oscillator{where.tail}{',' * bool(where)} with Q = {quality} and a deviance of {fit.deviance:.0f} on"
         f" {fit.dof} degrees of freedom (p = {fit.p_value:.2g}).",
@@ -148,7 +151,7 @@ def _picture(drawn: Mapping[str, Sequence[Band]], motion: Slow, where: Place) ->
 
 
 @panel(3.4)
-def spectrum(ax: Axes, groups: Mapping[str, Sequence[Band]]) -> None:
+def spectrum(ax: Axes, groups: Mapping[str, Sequence[Band]], units: Units = DIMENSIONLESS) -> None:
     """Power of n_stick over that of time-shifted blocks against the period, with the fit."""
     ax.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
     for k, (label, bands) in enumerate(groups.items()):
@@ -163,7 +166,7 @@ def spectrum(ax: Axes, groups: Mapping[str, Sequence[Band]]) -> None:
         models = [band.model for band in bands if band.model is not None]
         if models:
             ax.plot([band.middle for band in bands], models, color=colour)
-    ax.set(xscale="log", yscale="log", xlabel="period", ylabel="power / time-shifted blocks")
+    ax.set(xscale="log", yscale="log", xlabel=units.label("period", "time"), ylabel="power / time-shifted blocks")
     for axis in (ax.xaxis, ax.yaxis):
         ends_of_axis = axis.get_view_interval()
         steps = (1.0, 3.0) if ends_of_axis[1] > 20 * ends_of_axis[0] else (1.0, 2.0, 3.0, 5.0)

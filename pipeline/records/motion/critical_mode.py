@@ -28,7 +28,12 @@ class CriticalModeRecord(Record):
             dimension="frequency",
         ),
         Column(
-            "number", "critical_frequency", "its angular frequency", least=0.0, absent=_CHANGES, dimension="frequency"
+            "number",
+            "critical_frequency",
+            "its angular frequency",
+            least=0.0,
+            absent=_CHANGES,
+            dimension="angular_frequency",
         ),
         Column(
             "numbers",
