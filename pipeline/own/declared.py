@@ -10,6 +10,7 @@ import typing
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, cast
 
+from stickslip.pipeline.design.units import DIMENSIONS
 from stickslip.pipeline.errors import SceneError, foreign
 from stickslip.pipeline.own.function import OwnFunction
 
@@ -20,6 +21,8 @@ TYPES = (float, int, bool, str)
 SAMPLES = "samples"
 
 _MOST = sys.float_info.max
+#: What a field may say of its values.
+_SAID = ("least", "most", "absent", "since", "dimension")
 _FORM = (
     "write `def share(run, system, window) -> Measured`, with class Measured(NamedTuple) and a line as in `quiet:"
     ' Annotated[float, "what it is"]` for each column'
@@ -78,11 +81,10 @@ def _column(where: str, field: str, hint: Any) -> dict[str, Any]:
 def _meaning(where: str, field: str, column: Mapping[str, Any], notes: Sequence[Mapping[Any, Any]]) -> dict[str, Any]:
     """What a field says of its values besides its words: below what they never are, and why a run may have none."""
     meaning = {key: value for note in notes for key, value in note.items()}
-    odd = next((key for key in meaning if key not in ("least", "most", "absent", "since")), None)
+    odd = next((key for key in meaning if key not in _SAID), None)
     if odd is not None:
-        raise SceneError(
-            f"{where}: expected 'least', 'most', 'absent' or 'since' for {field}, got {odd!r:.80}; remove it"
-        )
+        listed = f"{', '.join(map(repr, _SAID[:-1]))} or {_SAID[-1]!r}"
+        raise SceneError(f"{where}: expected {listed} for {field}, got {odd!r:.80}; remove it")
     column_facts: dict[str, Any] = {}
 
     def take(key: str, is_right: bool, expected: str, got: str, value: object) -> None:
@@ -106,6 +108,11 @@ def _meaning(where: str, field: str, column: Mapping[str, Any], notes: Sequence[
         is_right = is_optional and isinstance(absent, str) and bool(absent.strip()) and absent.isprintable()
         expected = f"words as 'absent' of {field}, whose type has `| None`"
         take("absent", is_right, expected, got, " ".join(str(absent).split()))
+    if "dimension" in meaning:
+        dimension, is_float = meaning["dimension"], column["type"] == "float"
+        is_right = is_float and isinstance(dimension, str) and dimension in DIMENSIONS
+        got = f"{dimension!r:.80}" if is_float else f"a {column['type']}"
+        take("dimension", is_right, f"one of {', '.join(DIMENSIONS)} as 'dimension' of {field}", got, dimension)
     if "since" in meaning:
         since, is_time = meaning["since"], column["type"] == "float" and column["is_optional"]
         got = f"{since!r:.80}" if is_time else "another type"
@@ -115,6 +122,7 @@ def _meaning(where: str, field: str, column: Mapping[str, Any], notes: Sequence[
             "since", is_time and (is_start or _is_number(since)), expected, got, since if is_start else _float(since)
         )
         column_facts.setdefault("least", 0.0)
+        column_facts.setdefault("dimension", "time")
     return column_facts
 
 

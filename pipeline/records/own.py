@@ -287,6 +287,7 @@ def _own(
                 absent=facts["absent"],
                 title=facts["words"] if len(facts["words"].split()) <= FEW_WORDS else "",
                 until=None if facts["since"] is None else Until(facts["since"]),
+                dimension=facts["dimension"],
             )
             for key, facts in columns.items()
         ),

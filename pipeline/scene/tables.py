@@ -18,6 +18,7 @@ from pydantic import (
     model_validator,
 )
 
+from stickslip.pipeline.design.units import DIMENSIONS
 from stickslip.pipeline.design.values import END, Distribution, values
 from stickslip.pipeline.own.function import PATTERN
 from stickslip.pipeline.records import RECORDS
@@ -177,6 +178,7 @@ class ColumnTable(StrictTable):
     most: Annotated[float, Field(gt=0.0)] | None = None
     absent: str = ""
     since: Annotated[float, Field(ge=0.0)] | Literal["t_burn"] | None = None
+    dimension: Literal["", *DIMENSIONS] = ""  # type: ignore[valid-type]
 
 
 class FunctionTable(StrictTable):

@@ -35,7 +35,25 @@ _OF_PHASE = np.finfo(np.float64).eps / ROUNDING
 _APART = 100.0
 
 
+#: Pieces that are worked out at once: of a measured series, NumPy's calls for each would take most of a run.
+_AT_ONCE = 256
+
 _NOTHING = np.empty((0, 0))
+
+
+class Piece(NamedTuple):
+    """One piece: where it ends, whether it is the last, and at its start the values and slopes, shape (n,) each."""
+
+    end: float
+    is_last: bool
+    force: Floats
+    force_slope: Floats
+    speed: Floats
+    gain: Floats
+
+
+#: What is one piece, in which nothing changes.
+_WHOLE = Piece(0.0, True, *[_NOTHING] * 4)
 
 
 class Forcing(NamedTuple):
@@ -153,7 +171,7 @@ class Drive:
         self._system, self._starts, self._ends = system, list[float](), list[float]()
         self._moves = isinstance(system.belt_speed, Piecewise)
         if not (self._moves or system.force):
-            self.belt_speed, self._next = _constant_belt(system), iter([(t_end, True)])
+            self.belt_speed, self._next = _constant_belt(system), iter([_WHOLE._replace(end=t_end)])
             self._enter(t_start)
             return
         n, self.belt_speed = system.n, np.array(system.belt_speed_at(t_start))
@@ -171,7 +189,7 @@ class Drive:
         changing = [term for term in self._bends if not term.is_constant]
         knots = [term.times for term in (*changing, *((system.belt_speed,) if self._moves else ()))]
         inside = self._knots = np.unique(np.concatenate(knots)) if knots else np.empty(0)
-        self._next = self._cut(t_start, [*inside[(inside > t_start) & (inside <= t_end)].tolist(), t_end])
+        self._next = self._pieces(t_start, np.append(inside[(inside > t_start) & (inside <= t_end)], t_end))
         self._enter(t_start)
 
     @property
@@ -193,7 +211,8 @@ class Drive:
     def go_on(self, z: Floats, w: Floats) -> None:
         """Go on to the next piece; the state, at the end of this one, is put into its frame in place."""
         u = w - self.belt_speed
-        z[:] = self.of_user(self.end, z, w)[0]
+        if self._is_carried:
+            z[:] = self._place(self.end, z)
         self._enter(self.end)
         w[:] = self.belt_speed + u
 
@@ -204,8 +223,13 @@ class Drive:
         """
         if not self._is_carried:
             return z, w
+        return self._place(t, z), self._system.belt_speed_at(t) + (w - self.belt_speed)
+
+    def _place(self, t: float | Floats, z: Floats) -> Floats:
+        """The user's z, of a piece in which belts change their speed."""
         s = np.expand_dims(t - self.start, -1)
-        return z + 0.5 * s * s * self._gains, self._system.belt_speed_at(t) + (w - self.belt_speed)
+        place: Floats = z + 0.5 * s * s * self._gains
+        return place
 
     def place_all_stuck(self, all_stuck: Floats) -> None:
         """Put sums of z, the second row, at the times in the first, from the frame of the piece into the user's."""
@@ -229,22 +253,20 @@ class Drive:
         """Enter the next piece, which begins at t."""
         system, forcing = self._system, self.forcing
         self.start = t
-        self.end, self.is_last = next(self._next)
+        piece = next(self._next)
+        self.end, self.is_last = piece.end, piece.is_last
         self.length = self.end - t
         if self._ends and t == self.end:
             self.is_instant, self.instant = True, 0.25 * float(np.spacing(abs(t)))
             self.ahead = float(np.append(self._knots[self._knots > t], np.inf)[0]) - t
         if self.is_forced:
-            forcing.poly[:] = 0.0
-            for term in self._bends:
-                forcing.poly[0] += term.at(t)
-                forcing.poly[1] += term.slope_at(t)
+            forcing.poly[0], forcing.poly[1], forcing.poly[2] = piece.force, piece.force_slope, 0.0
             for phase, wave in zip(forcing.phase, self._waves, strict=True):
                 phase[:] = wave.phase_at(t)
             if self._moves:
-                gains = self._gains = system.belt_speed.slope_at(t)
+                gains = self._gains = piece.gain
                 self._is_carried = bool(gains.any())
-                self.belt_speed[:] = system.belt_speed.at(t)
+                self.belt_speed[:] = piece.speed
                 cross = 0.0 if system.cross_damping is None else system.cross_damping @ gains
                 forcing.poly[0] -= gains
                 forcing.poly[1] -= system.damping * gains + cross
@@ -252,21 +274,39 @@ class Drive:
         self._starts.append(t)
         self._ends.append(self.end)
 
-    def _cut(self, start: float, ends: list[float]) -> Iterator[tuple[float, bool]]:
-        """The ends of pieces, each divided where it would be too long, and whether each is the last."""
-        rate = self._system.fastest_rate
-        for k, end in enumerate(ends):
-            parts = 1
-            if self._moves and rate > 0 and end > start:
+    def _pieces(self, start: float, ends: Floats) -> Iterator[Piece]:
+        """The pieces from a time on between bends, each divided where it would be too long."""
+        for first in range(0, len(ends), _AT_ONCE):
+            bends = np.append(start if first == 0 else ends[first - 1], ends[first : first + _AT_ONCE])
+            cuts = self._cut(bends)
+            force, force_slope = np.zeros((len(cuts) - 1, self._system.n)), np.zeros((len(cuts) - 1, self._system.n))
+            for term in self._bends:
+                force += term.at(cuts[:-1])
+                force_slope += term.slope_at(cuts[:-1])
+            speed = gain = np.empty((len(cuts) - 1, 0))
+            if self._moves:
                 speeds = self._system.belt_speed
-                gain = float(np.abs(speeds.slope_at(start)).max())
-                speed = float(np.abs(speeds.at([start, end])).max())
-                if gain > 0:
-                    parts = max(1, math.ceil((end - start) / math.sqrt(2 * _APART * speed / (rate * gain))))
-            for part in range(1, parts):
-                yield start + (end - start) * (part / parts), False
-            yield end, k == len(ends) - 1
-            start = end
+                speed, gain = speeds.at(cuts[:-1]), speeds.slope_at(cuts[:-1])
+            is_last = first + _AT_ONCE >= len(ends)
+            for k, end in enumerate(cuts[1:].tolist()):
+                yield Piece(end, is_last and k == len(cuts) - 2, force[k], force_slope[k], speed[k], gain[k])
+
+    def _cut(self, bends: Floats) -> Floats:
+        """Ends of pieces: bends, and between them places where belts would be carried too far."""
+        rate, lengths = self._system.fastest_rate, np.diff(bends)
+        if not (self._moves and rate > 0):
+            return bends
+        speeds = self._system.belt_speed
+        gains = np.abs(speeds.slope_at(bends[:-1])).max(axis=1)
+        sizes = np.abs(speeds.at(bends)).max(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            longest = np.sqrt(2 * _APART * np.maximum(sizes[:-1], sizes[1:]) / (rate * gains))
+            parts = np.where((gains > 0) & (lengths > 0), np.ceil(lengths / longest), 1.0).astype(np.int64).tolist()
+        cuts = bends[:1].tolist()
+        for part, start, end in zip(parts, bends[:-1].tolist(), bends[1:].tolist(), strict=True):
+            cuts += [start + (end - start) * (k / part) for k in range(1, part)]
+            cuts.append(end)
+        return np.array(cuts)
 
 
 @once_a_system

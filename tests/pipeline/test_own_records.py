@@ -322,7 +322,15 @@ UNREADABLE = {
     "import": (one("return 1", head="import nonesuch_at_all\n"), ["ModuleNotFoundError", "nonesuch_at_all"]),
     "no annotation": (one("return 1").replace(" -> Measured", ""), ["to declare that it returns", "got none"]),
     "a number": (one("return 1").replace(" -> Measured", " -> float"), ["to declare that it returns", "got float"]),
-    "no note": (one("return 1", note='{"mode": 1}'), ["'least', 'most', 'absent' or 'since' for own", "'mode'"]),
+    "no note": (
+        one("return 1", note='{"mode": 1}'),
+        ["'least', 'most', 'absent', 'since' or 'dimension' for own", "'mode'"],
+    ),
+    "no dimension": (
+        one("return 1.0", "float", note='{"dimension": "size"}'),
+        ["one of time, length, mass,", "as 'dimension' of own, got 'size'"],
+    ),
+    "a count": (one("return 1", note='{"dimension": "length"}'), ["as 'dimension' of own, got a int"]),
     "most alone": (
         one("return 1", note='{"most": 1}'),
         ["'most' of own, with 'least' 0", "got another 'least', or none"],
