@@ -228,7 +228,8 @@ def test_a_drill_string_from_toml_to_page(tmp_path, monkeypatch, capsys):
     Path("drill.toml").write_text(block("systems", "toml"))
     assert [main(command) for command in commands("systems")] == [0, 0]
     lead = (
-        "Steady sliding and stick-slip both attract at drive_speed = 2 to 5.0, bounded by grazing of the cycle above."
+        "Steady sliding and stick-slip both attract at drive_speed = 2 to 5.0 rad/s, bounded by grazing of"
+        " the cycle above."
     )
     assert lead in capsys.readouterr().out
     table = query.members("runs/drill").sort_values("drive_speed")
