@@ -224,7 +224,7 @@ def _provenance(
 ) -> Section:
     """How the page was made: settings, what could not be answered, and where the data come from."""
     settings, units = study.settings, f"{noun(study.unit)}s" + " of one system" * (study.unit == START)
-    measured = f"in {settings.units}, or without a unit dimensionless" if settings.units else "dimensionless"
+    measured = f"in {settings.units}" if settings.units else "dimensionless"
     texts = [
         f"Statistics use t = {settings.at(settings.t_burn)} to the end of each run. Intervals are"
         f" {100 * settings.confidence:g}% intervals over independent {units}: Wilson for shares, Greenwood for"
