@@ -292,6 +292,16 @@ def test_the_command_says_what_has_no_value(text, tmp_path, monkeypatch, capsys)
     assert "own     1: mine:one: ZeroDivisionError: division by zero\n" in capsys.readouterr().err
 
 
+def test_a_dimension_is_scaled_as_that_of_other_columns(text, tmp_path):
+    units = '[units]\ntime = "s"\nlength = "mm"\nmass = "g"\nscales = {length = 0.5, time = 0.25, force = 2.0}\n'
+    module = one("return Measured(3.0)", "float", note='{"dimension": "speed"}')
+    scene = load_scene(written(tmp_path, short(text) + units, module))
+    run_ensemble(scene, tmp_path / "out", workers=0)
+    (column,) = (column for column in scene.recording.columns if column.name == "own")
+    assert scene.unit_names.of(column.dimension) == "mm/s"
+    assert set(query.members(tmp_path / "out").own) == {3.0 * 0.5 / 0.25}
+
+
 @pytest.mark.parametrize(("since", "longest"), [("0", 12.0), ("'t_burn'", 10.0)])
 def test_a_time_says_since_when_and_is_no_longer_than_its_run(since, longest, text, tmp_path):
     """Of three blocks no run has it, of four each; what says more than the run has is a problem."""
@@ -330,7 +340,7 @@ UNREADABLE = {
         one("return 1.0", "float", note='{"dimension": "size"}'),
         ["one of time, length, mass,", "as 'dimension' of own, got 'size'"],
     ),
-    "a count": (one("return 1", note='{"dimension": "length"}'), ["as 'dimension' of own, got a int"]),
+    "a count": (one("return 1", "int", note='{"dimension": "length"}'), ["as 'dimension' of own, got a int"]),
     "most alone": (
         one("return 1", note='{"most": 1}'),
         ["'most' of own, with 'least' 0", "got another 'least', or none"],
