@@ -12,10 +12,12 @@ from stickslip.analysis import arguments
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert
 from stickslip.analysis.findings.finding import Finding, Lack, Reason
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import plural
 from stickslip.analysis.members import noun
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate
+from stickslip.pipeline.design.labels import apart
 
 #: Draws a figure from plain data when called.
 Recipe = Callable[[], Figure]
@@ -118,6 +120,13 @@ class Question:
 def systems(study: Study) -> str:
     """What the independent units are called, in the singular."""
     return noun(study.unit)
+
+
+def places(study: Study) -> dict[str, Place]:
+    """What tells each setting from all others, by its label; n and the engine, where there are several engines."""
+    n_always = 2 * (len({group.key["engine"] for group in study.groups}) > 1)
+    names = apart([group.name for group in study.groups], n_always)
+    return {group.label: Place.of(name) for group, name in zip(study.groups, names, strict=True)}
 
 
 _REASONS = {

@@ -143,8 +143,8 @@ def _trend(changed: Sequence[Change], key: str) -> str:
     (said, *_), (of_size, *_) = along[0].keys[0].said, (change.keys[0].is_of_size for change in along)
     if len(verdicts) != 1:
         return f"The {period.name} shows no one trend with {said}"
-    rises = (verdicts == {Verdict.MORE}) != of_size
-    return f"The {period.name} {'rises' if rises else 'falls'} with {said}"
+    side = f"as {said} decreases" if of_size else f"with {said}"
+    return f"The {period.name} {'rises' if verdicts == {Verdict.MORE} else 'falls'} {side}"
 
 
 # --------------------------------------------------------------------------------------------------- changes

@@ -75,7 +75,8 @@ def _trend(grid: Grid, steps: Sequence[Step], key: str, is_of_size: bool) -> str
     settings, changing = ({step.setting for step in steps_here} for steps_here in (steps, told_apart))
     names = [place.noun for label, place in grid.where.items() if str(label) in changing]
     only = f" {listed(names)} only" if len(names) < len(settings) else ""
-    return f"{'rises' if (verdicts == {Verdict.MORE}) != is_of_size else 'falls'} with {key}{only}"
+    side = f"as {key} decreases" if is_of_size else f"with {key}"
+    return f"{'rises' if verdicts == {Verdict.MORE} else 'falls'} {side}{only}"
 
 
 def _lines(grid: Grid, axes: Sequence[Axis], measure: Measure) -> list[Line]:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stickslip.analysis.answer import Answer, Picture, Question, Recipe, lack, systems
+from stickslip.analysis.answer import Answer, Picture, Question, Recipe, lack, places, systems
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import (
@@ -204,7 +204,7 @@ def answer(study: Study) -> Answer:
     with_rate.sort(key=lambda entry: not _is_exact(entry.group))
     lead = with_rate[0]
     alike = [entry for entry in with_rate if _engine(entry) == _engine(lead)][:MOST_SETTINGS]
-    where = _places(study)
+    where = places(study)
     leading = _findings(study, lead, where[lead.group.label])
     findings = [rate for sums in alike[1:] for rate in _rates(study, sums, where[sums.group.label])]
     curves = [entry for entry in with_rate if entry.n == lead.n][:MOST_DRAWN]
@@ -234,13 +234,6 @@ def _is_exact(group: Group) -> bool:
     return ENGINES[group.key["engine"]].is_exact
 
 
-def _places(study: Study) -> dict[str, Place]:
-    """What tells each setting from all others, by its label; n and the engine, where there are several engines."""
-    n_always = 2 * (len({group.key["engine"] for group in study.groups}) > 1)
-    names = apart([group.name for group in study.groups], n_always)
-    return {group.label: Place.of(name) for group, name in zip(study.groups, names, strict=True)}
-
-
 def _drifting(study: Study, judged: Sequence[Group], sums: Mapping[str, Sums]) -> Level | None:
     """The decay rate of what leads although n_stick drifts: exact runs, where no other exact runs have one."""
     if any(_is_exact(group) for group in judged):
@@ -254,7 +247,7 @@ def _drifting(study: Study, judged: Sequence[Group], sums: Mapping[str, Sums]) -
     lead = min(drifts, key=lambda group: (not _is_exact(group), -int(group.key["n"])), default=None)
     if lead is None or (rate := sums[lead.label].estimate(gamma, level)).low is None:
         return None
-    return Level(RATE, rate, _places(study)[lead.label], basis=Basis(len(sums[lead.label].rows), systems(study)))
+    return Level(RATE, rate, places(study)[lead.label], basis=Basis(len(sums[lead.label].rows), systems(study)))
 
 
 def _drift(study: Study) -> Alert:

@@ -9,12 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullLocator
 
-from stickslip.analysis.answer import Answer, Picture, Question, lack, systems
+from stickslip.analysis.answer import Answer, Picture, Question, lack, places, systems
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Quantity, Reason, Share
 from stickslip.analysis.findings.numbers import number
-from stickslip.analysis.findings.place import EVERYWHERE, Place
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.models.common_motion import SURROGATES, Number, Shown
 from stickslip.analysis.questions.slips.slow_motion import CYCLES, Band, Slow, slow_motion
 from stickslip.analysis.questions.slips.triggering import CLUSTERING, Exits, exits_of, triggered
@@ -62,8 +62,8 @@ def answer(study: Study) -> Answer:
     bands_drawn = {label: group for label, group in bands.items() if group}
     leading = _leading(study, lead, exits[:1])
     unit = systems(study)
-    shares = [_share(motion, Place.of(motion.group.name), unit) for motion in motions[1:] if motion.is_shown]
-    where = _where(study, lead)
+    shares = [_share(motion, places(study)[motion.group.label], unit) for motion in motions[1:] if motion.is_shown]
+    where = places(study)[lead.group.label]
     compared = [
         pairs.level(where, Basis(group.n_units, unit))
         for group in exits[:1]
@@ -93,13 +93,9 @@ def _alerts(motion: Slow, alpha: float) -> list[Alert]:
     return alerts
 
 
-def _where(study: Study, motion: Slow) -> Place:
-    return Place.of(motion.group.name) if len(study.groups) > 1 else EVERYWHERE
-
-
 def _leading(study: Study, motion: Slow, exits: Sequence[Exits]) -> list[Finding]:
     """What one group shows: first its slow common motion or, if none is shown, why; and exits that trigger others."""
-    unit, where = systems(study), _where(study, motion)
+    unit, where = systems(study), places(study)[motion.group.label]
     shares = [share for group in exits for share in triggered(group, where, unit)]
     if not motion.is_shown:
         return [_lacking(motion, where, study.settings), *shares]
