@@ -187,8 +187,8 @@ class Sound:
             if column.along in ("", "block", "exit"):
                 continue
             sibling = by_dimension.setdefault(column.along, column)
-            lengths = [pc.list_value_length(arrays[field.name]) for field in (sibling, column)]
-            if pc.all(pc.equal(*lengths)).as_py() is False:
+            here, there = (pc.fill_null(pc.list_value_length(arrays[kept.name]), -1) for kept in (column, sibling))
+            if not here.equals(there):
                 return f"{column.name}: expected as many values as of {sibling.name} in each row, got more or fewer"
         return ""
 

@@ -17,12 +17,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from stickslip.analysis.page import parts
-from stickslip.pipeline import StoreError, expand
+from stickslip.pipeline import StoreError, expand, parse_scene, run_ensemble, verify
 from stickslip.pipeline.dataset import footer, sound
 from stickslip.pipeline.dataset.opened import open_dataset
 from stickslip.pipeline.places.manifest import read_manifest
 from stickslip.workflows.commands import main
 from stickslip.workflows.reporting import report
+from tests.scenes import ensemble
 
 
 def forge(place, name):
@@ -141,6 +142,14 @@ def test_a_crafted_shard_is_found(name, place, tmp_path, monkeypatch, capsys):
         code = main(words)
         assert code in (0, 1, 2)
         assert capsys.readouterr().err.count("\n") == (code != 0)
+
+
+def test_a_list_that_is_missing_beside_its_siblings_is_found(tmp_path):
+    text = ensemble(3, 40.0, 2, seed=1, rest="[record]\nepisodes = true", analysis="t_burn = 1.0\ndt = 0.5")
+    run_ensemble(parse_scene(text), tmp_path, workers=0)
+    shard = crafted(tmp_path, lambda table: first(table, "episode_end", lambda _: None))
+    (problem,) = verify(tmp_path)
+    assert problem.startswith(f"{shard}: episode_end: expected as many values as of episode_start")
 
 
 def test_a_manifest_is_told_in_a_line_whatever_it_names(place, capsys):
