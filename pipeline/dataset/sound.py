@@ -184,7 +184,9 @@ class Sound:
         """Whether lists that go together differ in length."""
         by_dimension: dict[str, Column] = {}
         for column in columns:
-            if column.along in ("", "block", "exit"):
+            array = arrays[column.name]
+            is_lacked = column.is_later and array.null_count == len(array)  # by data of an earlier version
+            if is_lacked or column.along in ("", "block", "exit"):
                 continue
             sibling = by_dimension.setdefault(column.along, column)
             here, there = (pc.fill_null(pc.list_value_length(arrays[kept.name]), -1) for kept in (column, sibling))
