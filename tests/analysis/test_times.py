@@ -145,3 +145,11 @@ def test_settings_together_keep_their_runs():
     assert both.median(0.5).value == 4.0
     assert both.rows.tolist() == [[5.0, 2.0], [7.0, 2.0], [9.0, 2.0], [7.0, 1.0]]
     assert second.within(first).times.tolist() == [4.0, 5.0, 6.0]
+
+
+def test_the_error_of_a_median_is_that_of_the_mirror_image(rng):
+    """The curve is read between its steps, half way up: else late times would count otherwise than early ones."""
+    drawn, units = rng.weibull(1.5, 41), np.arange(41)
+    early, late = (Times.of_runs(units, t, np.ones(41, dtype=bool)) for t in (drawn, 9.0 - drawn))
+    errors = [median_difference(times, times, paired=False).error for times in (early, late)]
+    assert errors[0] == pytest.approx(errors[1], rel=1e-9)
