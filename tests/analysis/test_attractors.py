@@ -11,7 +11,7 @@ from scipy.stats import norm
 from stickslip.analysis import Study
 from stickslip.analysis.ensemble import Recorded
 from stickslip.analysis.findings.alerts import Code
-from stickslip.analysis.findings.finding import Alike, Attracting, Regime, Share, Verdict
+from stickslip.analysis.findings.finding import Alike, Attracting, Bound, Regime, Share, Verdict
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models.attractors import Cycle, alike, plane
 from stickslip.analysis.questions.runs import fates
@@ -416,6 +416,20 @@ def test_where_steady_sliding_and_stick_slip_both_attract_leads(planted_runs, se
     is_refined = len(columns) > 2
     assert ends["found_by"].tolist() == ["linear stability", "runs to t = 1000"] * is_refined
     assert ends["value"].tolist() == pytest.approx([2.5, 4.1] * is_refined)
+
+
+def test_stick_slip_that_is_followed_to_a_value_attracts_there_though_no_start_finds_it(planted_runs, settings):
+    """At v = 3 all starts slide; the cycle of v = 2 lasts up to there, and that of v = 4 down to there, to 4.5."""
+    rows = []
+    for v in (2, 3, 4, 5):
+        ends = {"stability_changes": None, "motion_ends_below": None, "motion_ends_above": 4.5 if v == 4 else None}
+        fate = cycle(3.0, 0.1, 1) | {"exits_z": [0.5]} if v in (2, 4) else SLIDES | {"section_z": [0.0]}
+        rows += [started(0.1 * s, 0.0, start_draw=s, drawn="z", belt_speed=float(v)) | fate | ends for s in range(4)]
+    answered = fates.answer(Study(planted_runs(rows), settings))
+    each = {finding.attractors: finding for finding in answered.findings if isinstance(finding, Attracting)}
+    stretch = each["stick-slip",]
+    assert (stretch.low, stretch.high, stretch.high_by) == ("2", "4.5", Bound.RUNS)
+    assert [level.estimate.value for level in stretch.ends] == [4.5]
 
 
 def test_what_attracts_is_said_of_one_system_alone(planted_runs, settings):

@@ -169,19 +169,32 @@ class _Line(NamedTuple):
         rates = self.study.number("critical_rate")[setting.runs.rows]
         return None if np.isnan(rates).any() else not np.asarray(is_unstable(rates)).any()
 
-    def nouns(self, setting: Setting) -> tuple[str, ...]:
-        """What attracts at a setting: what runs settle on, and steady sliding where it is stable."""
-        kinds = {_NOUNS[kind] for kind, _ in setting.kinds if kind in _NOUNS}
-        kinds |= {_NOUNS[SLIDING]} if self.is_stable(setting) else set()
-        return tuple(noun for noun in dict.fromkeys(_NOUNS.values()) if noun in kinds)
+    def nouns(self) -> list[tuple[str, ...]]:
+        """What attracts at each setting: what runs settle on, steady sliding that is stable, stick-slip that lasts.
+
+        The last is followed there from a setting beside it, and need not be what runs there settle on.
+        """
+        kinds = [{_NOUNS[kind] for kind, _ in setting.kinds if kind in _NOUNS} for setting in self.settings]
+        for k, setting in enumerate(self.settings):
+            kinds[k] |= {_NOUNS[SLIDING]} if self.is_stable(setting) else set()
+            for beyond, side in ((k - 1, "below"), (k + 1, "above")):
+                n_lasting = self._n_followed(setting) - len(self.stops(setting, side))
+                if self.is_refined and 0 <= beyond < len(kinds) and n_lasting > 0:
+                    kinds[beyond].add(_STICK_SLIP)
+        return [tuple(noun for noun in dict.fromkeys(_NOUNS.values()) if noun in names) for names in kinds]
+
+    def _n_followed(self, setting: Setting) -> int:
+        """How many runs of a setting stick and slip for good, each of which is followed."""
+        moving = [kind for kind, noun in _NOUNS.items() if noun == _STICK_SLIP]
+        return int(np.isin(setting.runs.kinds, moving).sum())
 
     def several(self) -> Iterator[Attracting]:
-        for nouns, first, last in _stretches([self.nouns(setting) for setting in self.settings]):
+        for nouns, first, last in _stretches(self.nouns()):
             if len(nouns) > 1:
                 yield self._between(nouns, first, last)
 
     def each(self) -> Iterator[Attracting]:
-        nouns = [self.nouns(setting) for setting in self.settings]
+        nouns = self.nouns()
         for noun in dict.fromkeys(noun for names in reversed(nouns) for noun in reversed(names)):
             for attracts, first, last in _stretches([noun in names for names in nouns]):
                 if attracts:
@@ -217,14 +230,9 @@ class _Line(NamedTuple):
         stops: list[Stop] = []
         if self.is_stable(there) is False and _NOUNS[SLIDING] in nouns:
             stops += self.crossings(self.settings[min(k, beyond)])[:1]
-        if _STICK_SLIP in nouns and _STICK_SLIP not in self.nouns(there):
-            ends = self.stops(setting, "above" if step > 0 else "below")
-            n_followed = np.isin(setting.runs.kinds, [kind for kind, noun in _NOUNS.items() if noun == _STICK_SLIP])
-            if len(ends) < n_followed.sum() and not stops:
-                # one that is followed all the way attracts there, though no run began near it
-                return in_words(there.at[0])
-            if len(ends) == n_followed.sum():
-                stops.append(max(ends) if step > 0 else min(ends))
+        ends = self.stops(setting, "above" if step > 0 else "below")
+        if _STICK_SLIP in nouns and ends and len(ends) == self._n_followed(setting):
+            stops.append(max(ends) if step > 0 else min(ends))
         if not stops:
             return in_words(setting.at[0])
         return min(stops) if step > 0 else max(stops)

@@ -27,6 +27,7 @@ from stickslip.analysis.grid import Grid, Point, axes_of, balanced, estimate, is
 from stickslip.analysis.measures import MOTION, STICKING, B, Measure
 from stickslip.analysis.members import RELATIVE, noun
 from stickslip.analysis.models.fates import MOVING, QUIET, WATCHED
+from stickslip.analysis.questions.runs.coexistence import is_asked
 from stickslip.analysis.questions.runs.sweep_figures import figures
 from stickslip.analysis.rows import Columns, frame_by
 from stickslip.analysis.stats import enough
@@ -65,7 +66,9 @@ def answer(study: Study) -> Answer | None:
     steps = judged_together(unjudged, 1 - grid.confidence)
     judged = [step for step in steps if step.contrast.is_known]
     order = _order(grid, [step for step in judged if step.setting == grid.settings[0]] or judged)
-    lead = _lead(grid, order, judged, unit)
+    # where stick-slip ends is said better by `fates`, if it is asked there
+    ends = [] if is_asked(study) else [end for setting in grid.settings for end in _thresholds(grid, setting, unit)]
+    lead = _lead(grid, ends, order, judged, unit)
     further = [finding for finding in _rest(grid, order, judged, unit) if finding not in lead]
     pictures = figures(grid, order, [*judged], study.settings.units) if judged else {}
     tables = {"changes": table_of(steps), "sweep_measures": _table(grid)}
@@ -214,9 +217,10 @@ def _order(grid: Grid, steps: Sequence[Step]) -> list[str]:
     return [STICKING, *names] if is_moved else [*names, STICKING]
 
 
-def _lead(grid: Grid, order: Sequence[str], steps: Sequence[KeyStep], unit: str) -> list[Finding]:
+def _lead(
+    grid: Grid, thresholds: Sequence[Threshold], order: Sequence[str], steps: Sequence[KeyStep], unit: str
+) -> list[Finding]:
     """Where stick-slip ends, and changes of the first measure; if none of these is shown, one that is too."""
-    thresholds = [threshold for setting in grid.settings for threshold in _thresholds(grid, setting, unit)]
     leading = order[:2] if order[0] == STICKING else order[:1]
     shown = {step.statistic for step in steps if step.contrast.is_shown}
     if shown.isdisjoint(leading):
