@@ -16,6 +16,7 @@ from stickslip.analysis.findings.finding import (
     Basis,
     Change,
     Comparison,
+    Course,
     Difference,
     Family,
     Form,
@@ -311,6 +312,36 @@ def _relative(
 
 def _interval(test: Test, confidence: float) -> Estimate:
     return Estimate(test.difference, *test.interval(confidence))
+
+
+def course(to_each: Sequence[Contrast], from_each: Sequence[Contrast]) -> tuple[Course, int] | None:
+    """Whether a statistic turns between the ends of a key, and at which of the values between.
+
+    It does at a value that is shown to lie on one side of both ends; of several on one side, at the furthest. None if
+    it is consistent with one that rises or falls all along.
+
+    Parameters
+    ----------
+    to_each, from_each : sequence of Contrast
+        From the first value of the key to each of those between, and from there to the last; intervals as wide as
+        their number asks.
+    """
+    pairs = [*zip(to_each, from_each, strict=True)]
+    of_course = {
+        course: [k for k, pair in enumerate(pairs) if tuple(contrast.verdict for contrast in pair) == verdicts]
+        for course, verdicts in _TURNS.items()
+    }
+    turning = {course: places for course, places in of_course.items() if places}
+    if not turning:
+        return None
+    if len(turning) > 1:
+        return Course.NO_TREND, 0
+    ((shape, places),) = turning.items()
+    furthest = max(places, key=lambda k: abs(to_each[k].absolute.value or 0.0))
+    return shape, furthest
+
+
+_TURNS = {Course.MINIMUM: (Verdict.LESS, Verdict.MORE), Course.MAXIMUM: (Verdict.MORE, Verdict.LESS)}
 
 
 def judged(contrasts: Sequence[Contrast], alpha: float) -> list[Contrast]:

@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeVar
 import pandas as pd
 
 from stickslip.analysis.contrast import Contrast, judged
-from stickslip.analysis.findings.finding import Change, KeyChange, Lack, Level, Reason
+from stickslip.analysis.findings.finding import Change, KeyChange, Lack, Level, Reason, Turn
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.rows import Columns, frame_by
 from stickslip.analysis.stats.estimates import Estimate
@@ -74,6 +74,8 @@ class Step:
         What tells the second from others.
     name : Setting
         What is set beside the reference, in a list of outcomes.
+    turn : Turn, optional
+        Along a key, if the statistic is shown to turn before.
     """
 
     kind: Kind
@@ -83,6 +85,7 @@ class Step:
     keys: tuple[KeyChange, ...] = ()
     where: Place = EVERYWHERE
     name: Setting = _NO_NAME
+    turn: Turn | None = None
 
     @property
     def statistic(self) -> str:
@@ -96,7 +99,7 @@ class Step:
 
     def change(self, unit: str) -> Change:
         """As a change along its keys."""
-        return self.contrast.change(self.keys, self.where, unit)
+        return replace(self.contrast.change(self.keys, self.where, unit), turn=self.turn)
 
     def level(self, other: str, unit: str) -> Level:
         """As the second, compared with the first, which is called `other`."""

@@ -211,6 +211,23 @@ class KeyChange(NamedTuple):
         return self._replace(key=f"|{self.key}|", first=first, second=second)
 
 
+class Course(StrEnum):
+    """How a quantity goes along a key, where it does not rise or fall all along."""
+
+    MINIMUM = "minimum"
+    MAXIMUM = "maximum"
+    NO_TREND = "no trend"  #: it turns more than once
+
+
+@dataclass(frozen=True)
+class Turn:
+    """That a quantity turns between the ends of a key, the value there, and where that is."""
+
+    course: Course
+    estimate: Estimate
+    near: Place
+
+
 @dataclass(frozen=True)
 class Change:
     """How a quantity changes from one value of a key to another.
@@ -223,6 +240,8 @@ class Change:
         The quantity at these.
     where : Place
         At which values of the other keys, or averaged over which.
+    turn : Turn, optional
+        If it is shown to turn on the way.
     """
 
     quantity: Quantity
@@ -232,6 +251,7 @@ class Change:
     difference: Difference
     where: Place = EVERYWHERE
     basis: Basis | None = None
+    turn: Turn | None = None
 
 
 @dataclass(frozen=True)

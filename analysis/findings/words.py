@@ -12,6 +12,7 @@ from stickslip.analysis.findings.finding import (
     Bound,
     Change,
     Comparison,
+    Course,
     Decided,
     Difference,
     Finding,
@@ -29,6 +30,7 @@ from stickslip.analysis.findings.finding import (
     Scale,
     Share,
     Threshold,
+    Turn,
     Verdict,
 )
 from stickslip.analysis.findings.numbers import bare, decimals, is_exact, limit, number, signs, span, with_interval
@@ -252,6 +254,8 @@ def _n_tests(difference: Difference) -> str:
 def _change(change: Change) -> str:
     quantity, difference = change.quantity, change.difference
     along = f"as {_along(change)}{change.where.tail}"
+    if change.turn is not None:
+        return _turning(change, change.turn, along)
     match difference.verdict:
         case Verdict.MORE:
             return f"{quantity.name} rises {_from_to(change)}, {_by(change)}, {along}"
@@ -270,6 +274,19 @@ def _change(change: Change) -> str:
         case Verdict.UNJUDGED:
             tail = "" if change.basis is None else f"; {plural(change.basis.n, change.basis.unit)}, no interval"
             return f"{quantity.name} goes {_from_to(change)} {along}{tail}"
+
+
+def _turning(change: Change, turn: Turn, along: str) -> str:
+    """A change that is not one way all along."""
+    name, (start, end), unit = change.quantity.name, _levels(change), _in(change.quantity)
+    there = f"{with_interval(turn.estimate, change.quantity.form)}{unit} near {turn.near}"
+    match turn.course:
+        case Course.MINIMUM:
+            return f"{name} falls from {start} to a minimum of {there}, and rises to {end}, {along}"
+        case Course.MAXIMUM:
+            return f"{name} rises from {start} to a maximum of {there}, and falls to {end}, {along}"
+        case Course.NO_TREND:
+            return f"{name} changes without a trend, {_from_to(change)}, {along}"
 
 
 def _along(change: Change) -> str:

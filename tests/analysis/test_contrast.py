@@ -12,14 +12,16 @@ from stickslip.analysis.contrast import (
     Share,
     Statistic,
     contrast,
+    course,
     judged,
 )
-from stickslip.analysis.findings.finding import Scale, Verdict
+from stickslip.analysis.findings.finding import Course, Scale, Verdict
 from stickslip.analysis.measures import ENDS, SHORT_WINDOW, of_windows
 from stickslip.analysis.stats.compare import bounded_difference
 from stickslip.analysis.stats.enough import FEW_MATRICES
 from stickslip.analysis.stats.estimates import UnitSums, gamma, ratio
 from tests.analysis.designs import Data
+from tests.chance import agrees
 
 MEAN = Statistic("mean", ratio, 0.1)
 SHARE = Share("share")
@@ -205,3 +207,29 @@ def test_a_correlation_time_longer_than_the_window_can_tell_is_not_judged(plante
     judged = partial(contrast, measure.statistic, first.sums, paired=True, confidence=0.95, withheld=first.withheld)
     assert judged(second.sums).reason == SHORT_WINDOW
     assert not judged(first.sums).reason
+
+
+# ---------------------------------------------------------------------------------------------- along a key
+
+
+def course_of(means, rng, n=20):
+    """That of a quantity with such means, of systems that differ by more than the values do, with noise of 0.5."""
+    systems = rng.normal(0.0, 5.0, n)
+    first, *between, last = (of(mean + systems + rng.normal(0.0, 0.5, n)) for mean in means)
+    level = 1.0 - 0.05 / (2 * len(between))
+    compare = partial(contrast, Statistic("mean", ratio), paired=True, confidence=level)
+    found = course([compare(first, value) for value in between], [compare(value, last) for value in between])
+    return None if found is None else (found[0], means[1 + found[1]])
+
+
+def test_what_turns_on_the_way_does_not_rise_or_fall(rng):
+    assert course_of([16.4, 9.05, 9.94, 10.63], rng) == (Course.MINIMUM, 9.05)
+    assert course_of([16.4, 20.0, 24.0, 10.63], rng) == (Course.MAXIMUM, 24.0)
+    assert course_of([16.4, 9.0, 24.0, 16.4], rng)[0] is Course.NO_TREND
+    assert course_of([16.4, 12.0, 10.0, 9.0], rng) is None
+
+
+@pytest.mark.parametrize("means", [[10.0] * 6, [16.0, 12.0, 9.0, 9.0, 9.0, 9.0]])
+def test_what_is_flat_or_falls_turns_by_chance_in_a_twentieth_at_most(means, rng):
+    n_turns = sum(course_of(means, rng) is not None for _ in range(100))
+    assert agrees(n_turns, 100, 0.0, 0.05)

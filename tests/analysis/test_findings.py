@@ -13,6 +13,7 @@ from stickslip.analysis.findings.finding import (
     Bound,
     Change,
     Comparison,
+    Course,
     Decided,
     Difference,
     Family,
@@ -32,6 +33,7 @@ from stickslip.analysis.findings.finding import (
     Share,
     Threshold,
     Truth,
+    Turn,
     Verdict,
     levels,
 )
@@ -128,6 +130,12 @@ def test_sentences():
         "Decay rate: 6.60, 11.4 (5.8 to 22.3) times that of shifted blocks."
     )
     away = Difference(Estimate(-0.3, -0.4, -0.2), Scale.ABSOLUTE)
+    turn = Turn(Course.MINIMUM, Estimate(9.05, 8.85, 9.25), Place.key("kappa", "0.2"))
+    turned = Change(LATE, KAPPA, Estimate(16.4), Estimate(10.63), Difference(Estimate(-0.35, -0.4, -0.3)), turn=turn)
+    assert sentence(turned) == (
+        "Median lifetime falls from 16.4 to a minimum of 9.05 (8.85 to 9.25) near kappa = 0.2, and rises to 10.6,"
+        " as kappa goes from 0.1 to 0.4."
+    )
     gone = Change(SHARE, KAPPA, Estimate(0.5), Estimate(0.2), away, Place.key("eps", "0.03"))
     assert sentence(gone) == (
         "Share of runs in motion falls from 50% to 20%, by 30 (20 to 40) percentage points, "

@@ -17,10 +17,10 @@ import pandas as pd
 
 from stickslip.analysis.answer import Answer
 from stickslip.analysis.catalogues import bent, read
-from stickslip.analysis.contrast import contrast
+from stickslip.analysis.contrast import Contrast, contrast, course
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
-from stickslip.analysis.findings.finding import Basis, Finding, KeyChange, Lack, Level, Reason, Scale, Threshold
+from stickslip.analysis.findings.finding import Basis, Finding, KeyChange, Lack, Level, Reason, Scale, Threshold, Turn
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital
 from stickslip.analysis.grid import Grid, Point, axes_of, balanced, estimate, is_negative, points_at
@@ -109,23 +109,17 @@ def _method(grid: Grid, steps: Sequence[Step], unit: str) -> str:
 def _steps(grid: Grid, setting: Label) -> Iterator[KeyStep]:
     """Each value of each axis beside the first that has enough units, not judged yet."""
     points = grid.points[setting]
-    by_place = {tuple(point.place.values()): point for point in points}
     # a change below it, in units of the largest value of a unit, is of the size of the runs' own errors
     noise = max([ROUNDING, *(point.group.key[name] or 0.0 for point in points for name in RELATIVE)])
     for axis, measure in product(grid.axes, (*grid.asked, MOTION)):
         base, *further = _known_at(measure.name, points, axis)
+        along: list[KeyStep] = []
         for value in further:
-            pairs = [
-                (by_place[reference], point)
-                for point in points_at(points, axis, value)
-                if (reference := tuple((point.place | {axis: base}).values())) in by_place
-            ]
+            pairs = _pairs(points, axis, base, value)
             common = _in_common(measure.name, pairs)
             if measure is MOTION and not _differ(common):
                 continue
-            difference = contrast(
-                measure.statistic, common.first, common.second, True, grid.confidence, Scale.ABSOLUTE
-            )
+            difference = _contrast(measure, common, grid.confidence)
             if measure is not MOTION and _is_same(common, noise * _largest(measure.name, points)):
                 # no test: what is the same in each of a few units may differ in others
                 difference = replace(difference, is_same=True, p_different=None)
@@ -135,7 +129,50 @@ def _steps(grid: Grid, setting: Label) -> Iterator[KeyStep]:
             )
             where = grid.where[setting] + _places(axis, pairs, common.counted)
             is_last = value == further[-1]
-            yield KeyStep(Kind.KEY, setting, "", difference, keys, where, axis=axis, base=base, is_last=is_last)
+            along.append(
+                KeyStep(Kind.KEY, setting, "", difference, keys, where, axis=axis, base=base, is_last=is_last)
+            )
+        if along and along[-1].is_last and axis.x is not None:
+            along[-1] = replace(along[-1], turn=_turn(grid, measure, points, axis, [base, *further]))
+        yield from along
+
+
+def _pairs(points: Sequence[Point], axis: Axis, first: KeyValues, second: KeyValues) -> list[tuple[Point, Point]]:
+    """Points at two values of an axis that are at the same of all others."""
+    by_place = {tuple(point.place.values()): point for point in points}
+    return [
+        (by_place[reference], point)
+        for point in points_at(points, axis, second)
+        if (reference := tuple((point.place | {axis: first}).values())) in by_place
+    ]
+
+
+def _contrast(measure: Measure, common: _Common, confidence: float) -> Contrast:
+    return contrast(measure.statistic, common.first, common.second, True, confidence, Scale.ABSOLUTE)
+
+
+def _turn(
+    grid: Grid, measure: Measure, points: Sequence[Point], axis: Axis, values: Sequence[KeyValues]
+) -> Turn | None:
+    """Where a measure is shown to turn along an axis, with intervals for all that is asked so together."""
+    first, *between, last = values
+    if not between:
+        return None
+    n_intervals = 2 * len(between) * len(grid.asked) * len(grid.axes) * len(grid.settings)
+    level = 1.0 - (1.0 - grid.confidence) / max(n_intervals, 1)
+
+    def contrasts(pairs: Sequence[tuple[KeyValues, KeyValues]]) -> list[Contrast]:
+        return [_contrast(measure, _in_common(measure.name, _pairs(points, axis, *pair)), level) for pair in pairs]
+
+    to_each, from_each = (
+        contrasts([(first, value) for value in between]),
+        contrasts([(value, last) for value in between]),
+    )
+    if (turning := course(to_each, from_each)) is None:
+        return None
+    shape, k = turning
+    there = estimate(measure.statistic, points_at(points, axis, between[k]), grid.confidence)
+    return Turn(shape, there, Place.key(axis.name, in_words(between[k])))
 
 
 def _known_at(name: str, points: Sequence[Point], axis: Axis) -> Sequence[KeyValues]:
@@ -240,34 +277,15 @@ def _lead(
 def _largest_changes(steps: Sequence[KeyStep]) -> list[KeyStep]:
     """One change of a statistic a key, the largest first: that of its ends or, if none is shown there, one that is.
 
-    And of a key, beside that of its ends, the change to a value at which the statistic is beyond both.
+    A statistic that turns on the way is said from end to end.
     """
     chosen = []
     for axis in dict.fromkeys(step.axis for step in steps):
         along = [step for step in steps if step.axis == axis]
-        best = max(along, key=lambda step: (step.contrast.is_shown, step.is_last, step.contrast.weight))
-        chosen += [best, *_beyond(best, along)]
+        chosen.append(
+            max(along, key=lambda step: (bool(step.turn), step.contrast.is_shown, step.is_last, step.contrast.weight))
+        )
     return sorted(chosen, key=lambda step: step.contrast.weight, reverse=True)
-
-
-def _beyond(end: KeyStep, steps: Sequence[KeyStep]) -> list[KeyStep]:
-    """Of the values between a key's ends, the one at which a statistic is furthest beyond both, if it is at any.
-
-    The intervals of the changes to it and to the last value lie apart.
-    """
-
-    def ends(step: KeyStep) -> tuple[float, float]:
-        low, high = step.contrast.absolute.low, step.contrast.absolute.high
-        return (-np.inf, np.inf) if low is None or high is None else (low, high)
-
-    low, high = ends(end)
-    between = [
-        step
-        for step in steps
-        if step.contrast.is_shown and (ends(step)[0] > max(high, 0.0) or ends(step)[1] < min(low, 0.0))
-    ]
-    between.sort(key=lambda step: abs(step.contrast.absolute.value or 0.0))
-    return between[-1:] if end.is_last else []
 
 
 def _rest(grid: Grid, order: Sequence[str], steps: Sequence[KeyStep], unit: str) -> Iterator[Finding]:

@@ -70,7 +70,7 @@ def _trend(grid: Grid, steps: Sequence[Step], key: str, is_of_size: bool) -> str
         return f"against {key}"
     if not verdicts:
         return f"shows no significant change with {key}"
-    if len(verdicts) > 1:
+    if len(verdicts) > 1 or any(step.turn for step in steps):
         return f"changes in both directions along {key}"
     settings, changing = ({step.setting for step in steps_here} for steps_here in (steps, told_apart))
     names = [place.noun for label, place in grid.where.items() if str(label) in changing]
