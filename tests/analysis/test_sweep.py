@@ -11,7 +11,7 @@ import pytest
 
 from stickslip.analysis import Study, build, measures
 from stickslip.analysis.findings.finding import Change as Changed
-from stickslip.analysis.findings.finding import Lack, Level, Reason, Threshold, Verdict
+from stickslip.analysis.findings.finding import Course, Lack, Level, Reason, Threshold, Verdict
 from stickslip.analysis.findings.place import EVERYWHERE
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.grid import axes_of
@@ -81,6 +81,14 @@ def test_a_change_along_eight_values_is_found_within_matrices(swept, settings):
     table = answer.tables["sweep_measures"].query("measure == 'mean n_stick'")
     assert list(table["belt_speed"]) == sorted(BELT)  # as "first" and "last" are meant
     assert (table["n_units"] == 8).all()
+
+
+def test_what_falls_and_rises_again_has_a_minimum(swept, settings):
+    """By 60 at -0.3, where the ends are level."""
+    data = swept({"belt_speed": BELT}, lambda at, _: -60 * (1 - ((at["belt_speed"] + 0.3) / 0.2) ** 2))
+    change = next(finding for finding in changes_of(Study(data, settings)).findings if isinstance(finding, Changed))
+    assert (change.quantity.key, change.turn.course) == (measures.MEAN, Course.MINIMUM)
+    assert re.search(r"falls from \S+ to a minimum of .* near \|belt_speed\| = 0.3, and rises to", sentence(change))
 
 
 def test_opposite_changes_are_not_the_same(swept, settings):

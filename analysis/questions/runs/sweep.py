@@ -172,7 +172,9 @@ def _turn(
         return None
     shape, k = turning
     there = estimate(measure.statistic, points_at(points, axis, between[k]), grid.confidence)
-    return Turn(shape, there, Place.key(axis.name, in_words(between[k])))
+    is_of_size = len(axis.keys) == 1 and is_negative(*(row[0] for row in axis.rows))
+    near = KeyChange(axis.name, "", in_words(between[k]), is_of_size).said
+    return Turn(shape, there, Place.key(near.key, near.second))
 
 
 def _known_at(name: str, points: Sequence[Point], axis: Axis) -> Sequence[KeyValues]:
