@@ -46,7 +46,7 @@ def returned(v, state):
     limit = partial(leaves, v)
     limit.terminal, limit.direction = True, 1.0
     precise = {"method": "DOP853", "rtol": 1e-10, "atol": 1e-12}
-    start = np.array([(1.0 - C * v + z) / 2.0, z, v * (1.0 - 1e-12), w])
+    start = np.array([(1.0 - C * v - K[0, 1] * z) / K[0, 0], z, v * (1.0 - 1e-12), w])
     slip = solve_ivp(partial(slips, v), (0.0, 60.0), start, events=ended, first_step=1e-3, **precise)
     if slip.status != 1:
         return None
