@@ -120,27 +120,31 @@ def energy(system: System, run: Run, z0: ArrayLike, w0: ArrayLike, **settings: A
     symmetric, skew = (system.stiffness + transposed) / 2, (system.stiffness - transposed) / 2
     first = 0
     while first < max(len(edges) - 1, 1):
-        part = edges[first : first + longest + 1]
-        again = simulate(system, z0, w0, series.t_end, t_start=series.t_start, t_eval=_nodes(part), **settings)
+        edges_of_part = edges[first : first + longest + 1]
+        rerun = simulate(
+            system, z0, w0, series.t_end, t_start=series.t_start, t_eval=_nodes(edges_of_part), **settings
+        )
         if any(
-            a.tobytes() != b.tobytes() for a, b in ((again.events.t, series.t), (again.z, run.z), (again.w, run.w))
+            a.tobytes() != b.tobytes() for a, b in ((rerun.events.t, series.t), (rerun.z, run.z), (rerun.w, run.w))
         ):
             raise ValueError(
                 "run: expected that of this start and these settings, got another; pass those it was made with"
             )
-        if system.weakening is not None and len(finer := _finer(system, part, again.samples)) > len(part):
+        if system.weakening is not None and len(finer := _finer(system, edges_of_part, rerun.samples)) > len(
+            edges_of_part
+        ):
             edges = np.concatenate([edges[:first], finer, edges[first + longest + 1 :]])
             continue
-        modes = _modes(series, part)
-        z, w = again.samples.z[:: _NODES + 1], again.samples.w[:: _NODES + 1]
+        modes = _modes(series, edges_of_part)
+        z, w = rerun.samples.z[:: _NODES + 1], rerun.samples.w[:: _NODES + 1]
         within = slice(None if first + longest >= len(edges) - 1 else -1)  # else the next part begins with it
         stored.append(
             [0.5 * (system.mass * w * w).sum(axis=1)[within], 0.5 * (z * (symmetric @ z.T).T).sum(axis=1)[within]]
         )
-        for k in range(0, max(len(part) - 1, 1), at_a_time):
-            m = min(at_a_time, len(part) - 1 - k)
-            power = _powers(system, skew, modes[k : k + m], again.samples, k * (_NODES + 1))
-            flows.append((power * (np.diff(part[k : k + m + 1])[:, None] * _GAUSS[1])).sum(axis=2))
+        for k in range(0, max(len(edges_of_part) - 1, 1), at_a_time):
+            m = min(at_a_time, len(edges_of_part) - 1 - k)
+            power = _powers(system, skew, modes[k : k + m], rerun.samples, k * (_NODES + 1))
+            flows.append((power * (np.diff(edges_of_part[k : k + m + 1])[:, None] * _GAUSS[1])).sum(axis=2))
         first += longest
     since = (np.append(0.0, np.cumsum(flow)) for flow in np.concatenate(flows, axis=1))
     return Energy(edges, *np.concatenate(stored, axis=1), *since)

@@ -97,11 +97,11 @@ def episodes(run: Run, belt_speed: ArrayLike | Piecewise) -> Episodes:
     since, until, first, last = since[rests], until[rests], first[rests], last[rests]
     start, end = until[:-1], since[1:]
     before, after = last[:-1], first[1:]
-    moved = _travel(belt(belt_speed, series.n), series.n, stills.t[before], stills.t[after])
-    slip = stills.total[after] - stills.total[before] - moved
+    travel = _travel(belt(belt_speed, series.n), series.n, stills.t[before], stills.t[after])
+    slip = stills.total[after] - stills.total[before] - travel
     slips = np.flatnonzero(series.mode != 0)
     leaves = slips[np.searchsorted(series.t[slips], start)]
-    moment = np.where(moved > 0, -slip, slip)
+    moment = np.where(travel > 0, -slip, slip)
     return Episodes(start, end, _sizes(series, start, end), moment, series.block[leaves], stills.total[before])
 
 
@@ -207,10 +207,10 @@ def _parts(episode: Ints, block: Ints, system: System) -> NDArray[np.int32]:
     n_near = np.diff(springs.indptr)[block]
     node = np.repeat(np.arange(len(block)), n_near)
     offset = np.arange(len(node)) - np.repeat(np.cumsum(n_near) - n_near, n_near)
-    near = springs.indices[springs.indptr[block][node] + offset]
-    key, wanted = episode * system.n + block, episode[node] * system.n + near
-    place = np.minimum(np.searchsorted(key, wanted), max(len(key) - 1, 0))
-    tied = key[place] == wanted if len(key) else place > 0
+    neighbours = springs.indices[springs.indptr[block][node] + offset]
+    key, key_of_neighbour = episode * system.n + block, episode[node] * system.n + neighbours
+    place = np.minimum(np.searchsorted(key, key_of_neighbour), max(len(key) - 1, 0))
+    tied = key[place] == key_of_neighbour if len(key) else place > 0
     graph = sparse.coo_array((np.ones(tied.sum()), (node[tied], place[tied])), shape=(len(key), len(key)))
     return np.asarray(connected_components(graph, directed=False)[1])
 

@@ -177,10 +177,10 @@ def _modes(modes: ArrayLike | None, n: int) -> NDArray[np.int8] | None:
     """The modes of n blocks as the engine takes them."""
     if modes is None:
         return None
-    given = floats("modes", modes, f"{n} of the numbers 0, +1 and -1")
-    if given.shape != (n,) or not np.isin(given, (-1, 0, 1)).all():
+    numbers = floats("modes", modes, f"{n} of the numbers 0, +1 and -1")
+    if numbers.shape != (n,) or not np.isin(numbers, (-1, 0, 1)).all():
         raise ValueError(f"modes: expected {n} of the numbers 0, +1 and -1, got {modes!r}")
-    return given.astype(np.int8)
+    return numbers.astype(np.int8)
 
 
 def _check_names(names: Collection[str], engine: str) -> None:

@@ -139,7 +139,7 @@ class Ensemble:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.points = [_Point(swept, at) for swept, at in scene.points()]
+        self.points = [_Point(swept, indices) for swept, indices in scene.points()]
         self.draws = [scene.start_draws(point.at) for point in self.points]
         self.ends = list(accumulate(map(len, self.draws)))
         self.variants = list(_variants(scene))
@@ -404,7 +404,7 @@ class Ensemble:
         axes = self.scene.axes
         axis = axis_of_numbers(axes)
         assert axis is not None  # or the record refuses the scene
-        shape, along = tuple(len(each.rows) for each in axes), axes.index(axis)
+        shape, along = tuple(len(swept.rows) for swept in axes), axes.index(axis)
         place = [int(k) for k in np.unravel_index(number, shape)]
         k = place[along]
         if not 0 <= k + step < shape[along]:

@@ -243,9 +243,9 @@ class Member:
         """Its system at 0, and at 1 that of a neighbour, of the same draws; numbers between go along a line."""
 
         def mixed(pairs: tuple[tuple[str, Any], ...], others: tuple[tuple[str, Any], ...], share: float) -> Any:
-            there = dict(others)
+            other_values = dict(others)
             return tuple(
-                (key, value if there[key] == value else (1.0 - share) * value + share * there[key])
+                (key, value if other_values[key] == value else (1.0 - share) * value + share * other_values[key])
                 for key, value in pairs
             )
 

@@ -88,7 +88,7 @@ def check_memory(scene: Scene, workers: int) -> None:
     room = MEMORY_LIMIT / max(1, min(workers, scene.n_members))
     takes = [("system.n", Memory(scene.system.bytes_of_system, "drawing a system", "lower n"))]
     of_records = ((f"record.{record.name}", record.memory(scene.facts)) for record in scene.records)
-    takes += [(key, found) for key, found in of_records if found is not None]
+    takes += [(key, memory) for key, memory in of_records if memory is not None]
     for key, (needed, what, advice) in takes:
         if needed > room:
             raise SceneError(
@@ -167,9 +167,9 @@ def local(workers: int, dashboard: bool = False) -> Iterator[Client]:
             opened.callback(loop.stop)
             opened.enter_context(_files_for(workers))
             _check_address_space()
-            begun: list[SpecCluster] = []
-            starting = _start(workers, dashboard, loop, opened, begun)
-            opened.callback(_abandon, begun, loop)
+            clusters: list[SpecCluster] = []
+            starting = _start(workers, dashboard, loop, opened, clusters)
+            opened.callback(_abandon, clusters, loop)
         with errors.instead():
             cluster = _wait_for(starting, loop, workers, errors)
         errors.pass_on()
@@ -184,11 +184,11 @@ def _check_address_space() -> None:
 
     Raises `ScheduleError`.
     """
-    most = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if most != resource.RLIM_INFINITY and most < _LEAST_SPACE:
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY and limit < _LEAST_SPACE:
         raise ScheduleError(
             f"workers: expected a limit of {_LEAST_SPACE / 1e9:.2g} GB or more of memory for each process, got"
-            f" {most / 1e9:.2g} GB (`ulimit -v`); raise it, or take a larger machine"
+            f" {limit / 1e9:.2g} GB (`ulimit -v`); raise it, or take a larger machine"
         )
 
 
@@ -199,14 +199,14 @@ def _files_for(workers: int) -> Iterator[None]:
     Raises `ScheduleError` if it may not.
     """
     needed = 32 + 16 * workers
-    most = max(needed, _MOST_FILES)  # others on this machine may open connections too, which are then refused
+    limit = max(needed, _MOST_FILES)  # others on this machine may open connections too, which are then refused
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if hard != resource.RLIM_INFINITY and hard < needed:
         raise ScheduleError(
             f"workers: expected a limit of {needed} or more open files, for {workers} of them, got {hard} "
             f"(`ulimit -n`); raise it, or use fewer workers"
         )
-    raised = most if hard == resource.RLIM_INFINITY else min(most, hard)
+    raised = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
     resource.setrlimit(resource.RLIMIT_NOFILE, (soft if soft == resource.RLIM_INFINITY else max(soft, raised), hard))
     try:
         yield
@@ -296,17 +296,17 @@ def _wait_for(starting: Future[SpecCluster], loop: LoopRunner, workers: int, err
     raise _no_start(workers, why, errors.last_lines())
 
 
-def _no_start(workers: int, why: str, said: Sequence[str]) -> ScheduleError:
-    is_script, most = processes.forks is None, resource.getrlimit(resource.RLIMIT_AS)[0]
-    if most != resource.RLIM_INFINITY:
-        why += f"; each process may have {most / 1e9:.2g} GB, `ulimit -v`"
+def _no_start(workers: int, why: str, last_lines: Sequence[str]) -> ScheduleError:
+    is_script, limit = processes.forks is None, resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY:
+        why += f"; each process may have {limit / 1e9:.2g} GB, `ulimit -v`"
     lines = [
         f"expected {workers} workers on this machine, could not start them ({why})",
-        *(f"    {line}" for line in said),
+        *(f"    {line}" for line in last_lines),
         "remove what ends them, then rerun the scene"
         + '; in a script, which every worker loads, run it under if __name__ == "__main__":' * is_script,
     ]
-    return ScheduleError("\n".join(lines) if said else "; ".join(lines))
+    return ScheduleError("\n".join(lines) if last_lines else "; ".join(lines))
 
 
 def _close(client: Client, cluster: SpecCluster) -> None:
@@ -316,10 +316,10 @@ def _close(client: Client, cluster: SpecCluster) -> None:
         cluster.close()
 
 
-def _abandon(begun: list[SpecCluster], loop: LoopRunner) -> None:
+def _abandon(clusters: list[SpecCluster], loop: LoopRunner) -> None:
     """Wait no longer for a cluster to start; nothing of it starts any more."""
     loop.stop()  # it would go on with dask's own configuration, in a directory that nobody removes
-    for cluster in begun:
+    for cluster in clusters:
         if cluster.status == Status.closed:
             continue
         cluster.shutdown_on_close = False  # dask would wait for it as this process ends
@@ -331,12 +331,12 @@ def _abandon(begun: list[SpecCluster], loop: LoopRunner) -> None:
 def _end(workers: Sequence[AsyncProcess]) -> None:
     """Kill workers' processes, even those that a thread is just starting."""
     end = time.monotonic() + _ENDING
-    begun = [worker._process for worker in workers]
+    children = [worker._process for worker in workers]
     for worker in workers:
         worker.close()
         # what it would be forked from may be loading still, and is ended next
         worker._watch_message_thread.join(max(0.0, end - time.monotonic()))
-    started = [process for process in begun if process is not None and process.pid is not None]
+    started = [process for process in children if process is not None and process.pid is not None]
     for process in started:
         process.kill()
     for process in started:
@@ -389,29 +389,29 @@ class QuietWorker(_Quiet, Worker):
 
 
 def _start(
-    workers: int, dashboard: bool, loop: LoopRunner, opened: contextlib.ExitStack, begun: list[SpecCluster]
+    workers: int, dashboard: bool, loop: LoopRunner, opened: contextlib.ExitStack, clusters: list[SpecCluster]
 ) -> Future[SpecCluster]:
-    """Have the loop start a cluster of this machine, which is in `begun` from its beginning on."""
+    """Have the loop start a cluster of this machine, which is in `clusters` from its beginning on."""
     where = dask.config.get("temporary-directory") or tempfile.gettempdir()
     # if workers are forked: `forked_workers` has said from what, and dask would load pandas here too
     distributed.utils._forkserver_preload_set = True
     try:
         # dask imports from its directory, and uses one that exists already, even another user's
-        own = opened.enter_context(scratch(where))
+        directory = opened.enter_context(scratch(where))
     except OSError as error:
         raise ScheduleError(
             f"expected a directory in which workers can write, got {where} ({error}); {remedy(error)}, or set TMPDIR"
         ) from error
-    settings = {**_LOCAL_CLUSTER, "temporary-directory": own.path}
+    settings = {**_LOCAL_CLUSTER, "temporary-directory": directory.path}
     settings["distributed.worker.multiprocessing-method"] = "spawn" if processes.forks is None else "forkserver"
     opened.enter_context(dask.config.set(settings))  # it sets variables here too, for workers to inherit
-    here = {"host": "127.0.0.1", "port": 0, "protocol": "tls://", "security": Security.temporary()}
-    here |= {"dashboard": False}
+    options = {"host": "127.0.0.1", "port": 0, "protocol": "tls://", "security": Security.temporary()}
+    options |= {"dashboard": False}
     pages = {"dashboard": True, "dashboard_address": "127.0.0.1:0"} if dashboard else {}
     worker = {
         "cls": Nanny,
         "options": {
-            **here,
+            **options,
             "worker_class": QuietWorker,
             "nthreads": 1,
             "memory_limit": 1.0 / workers,
@@ -421,16 +421,16 @@ def _start(
 
     async def start() -> SpecCluster:
         cluster = SpecCluster(
-            scheduler={"cls": Scheduler if dashboard else QuietScheduler, "options": here | pages},
+            scheduler={"cls": Scheduler if dashboard else QuietScheduler, "options": options | pages},
             workers=dict.fromkeys(range(workers), worker),
             worker=worker,
             asynchronous=True,
             loop=loop.loop,
-            security=here["security"],
+            security=options["security"],
             silence_logs=logging.CRITICAL,
         )
 
-        begun.append(cluster)
+        clusters.append(cluster)
         return await cluster
 
     return asyncio.run_coroutine_threadsafe(start(), loop.loop.asyncio_loop)

@@ -36,8 +36,8 @@ class Here(Executor):
     """This process."""
 
     def map(self, function: Callable[[T], R], parts: Iterable[T]) -> Results[R]:
-        for number, part in enumerate(parts):
-            yield [(number, function(part))]
+        for number, argument in enumerate(parts):
+            yield [(number, function(argument))]
 
 
 class Children(Executor):
@@ -69,30 +69,30 @@ class Children(Executor):
     def map(self, function: Callable[[T], R], parts: Iterable[T]) -> Results[R]:
         """As `Executor.map`; what a process dies of is computed again here, so that its error is seen."""
         todo = deque(enumerate(parts))
-        done: SimpleQueue[tuple[int, R] | None] = SimpleQueue()
+        answers: SimpleQueue[tuple[int, R] | None] = SimpleQueue()
 
         def by_child(child: Child, loading: Future[None]) -> None:
             task = None
             try:
                 loading.result()
                 while (task := _next(todo)) is not None:
-                    done.put((task[0], child((function, (task[1],)))))
+                    answers.put((task[0], child((function, (task[1],)))))
             except ChildDied:
                 self._loading.pop(child)
                 if task is not None:
                     todo.append(task)
             finally:
-                done.put(None)
+                answers.put(None)
 
         futures = [self._pool.submit(by_child, *pair) for pair in [*self._loading.items()]]
         n_working = len(futures)
         try:
             while n_working or todo:
                 if (task := _next(todo)) is not None:
-                    done.put((task[0], function(task[1])))
-                there = [done.get(), *(done.get() for _ in range(done.qsize()))]
-                n_working -= there.count(None)
-                yield [result for result in there if result is not None]
+                    answers.put((task[0], function(task[1])))
+                answered = [answers.get(), *(answers.get() for _ in range(answers.qsize()))]
+                n_working -= answered.count(None)
+                yield [result for result in answered if result is not None]
         except BaseException:  # Ctrl-C too: nobody waits for the rest
             todo.clear()
             for child in [*self._loading]:

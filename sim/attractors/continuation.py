@@ -78,7 +78,7 @@ def continued(
             settled.append(Settled(system, run, attractor(run, system, min(t_burn, run.t_end), **settings)))
         else:
             settled.append(before.followed(system, t_end, t_burn, settings))
-    return [each.attractor for each in settled]
+    return [motion.attractor for motion in settled]
 
 
 class Settled(NamedTuple):

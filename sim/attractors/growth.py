@@ -89,33 +89,33 @@ def growth(
     """
     n, fastest = system.n, system.fastest_rate or 1.0
     t, end = times
-    length, total, apart = _FIRST * (end - t), 0.0, 0.0
-    known: NDArray[np.int8] | None = modes
+    length, total, distance = _FIRST * (end - t), 0.0, 0.0
+    start_modes: NDArray[np.int8] | None = modes
     towards = _any_direction(n)
     instants, logs = [np.array([t])], [np.zeros(1)]
     while t < end and abs(total) < _ENOUGH:
-        at = np.linspace(t, end if end - t < 1.5 * length else t + length, _SAMPLES + 1)
-        span = t, float(at[-1])
-        one = follow(z, w, known, span, at)
-        if not apart:
-            size = float(np.ptp(across(system, one.samples.z), axis=0).max())
+        sampled = np.linspace(t, end if end - t < 1.5 * length else t + length, _SAMPLES + 1)
+        span = t, float(sampled[-1])
+        reference = follow(z, w, start_modes, span, sampled)
+        if not distance:
+            size = float(np.ptp(across(system, reference.samples.z), axis=0).max())
             noise = max(TOL * system.fastest_belt / fastest, _EPS * float(np.abs(z).max()))
-            apart = max(_APART * size, _NOISE * noise)
-            if size < LOST or apart > _MOST * size:
+            distance = max(_APART * size, _NOISE * noise)
+            if size < LOST or distance > _MOST * size:
                 return None
-        shift = apart * towards
-        other = follow(z + shift[:n], w + fastest * shift[n:], None, span, at)
-        found = _apart(system, fastest, one, other, is_forced) / apart
+        shift = distance * towards
+        neighbour = follow(z + shift[:n], w + fastest * shift[n:], None, span, sampled)
+        deviation = _apart(system, fastest, reference, neighbour, is_forced) / distance
         with np.errstate(divide="ignore"):
-            grown = np.maximum(np.log(np.linalg.norm(found, axis=1)), _NOTHING)
-        instants.append(at[1 : len(grown)])
+            grown = np.maximum(np.log(np.linalg.norm(deviation, axis=1)), _NOTHING)
+        instants.append(sampled[1 : len(grown)])
         logs.append(total + grown[1:])
-        if len(grown) < len(at):
+        if len(grown) < len(sampled):
             break  # one of them ran away
         t, total = span[1], total + float(grown[-1])
-        z, w, known = one.samples.z[-1], one.samples.w[-1], None
-        towards = _any_direction(n) if grown[-1] <= _NOTHING else found[-1] / np.linalg.norm(found[-1])
-        towards[n:][one.events.mode_at(t) == 0] = 0.0
+        z, w, start_modes = reference.samples.z[-1], reference.samples.w[-1], None
+        towards = _any_direction(n) if grown[-1] <= _NOTHING else deviation[-1] / np.linalg.norm(deviation[-1])
+        towards[n:][reference.events.mode_at(t) == 0] = 0.0
         length *= 2.0 if abs(grown[-1]) < _LITTLE else 0.5 if abs(grown[-1]) > _MUCH else 1.0
     return _of(np.concatenate(instants), np.concatenate(logs))
 
@@ -125,17 +125,19 @@ def _any_direction(n: int) -> Floats:
     return np.asarray(direction / np.linalg.norm(direction))
 
 
-def _apart(system: System, fastest: float, one: Run, other: Run, is_forced: bool) -> Floats:
+def _apart(system: System, fastest: float, reference: Run, neighbour: Run, is_forced: bool) -> Floats:
     """By what two runs differ at the instants of their samples, as far as both go, shape (m, 2n)."""
-    m = int(np.searchsorted(one.samples.t, min(one.t_end, other.t_end), side="right"))
-    states = one.samples.first(m)
-    apart = np.concatenate([other.samples.z[:m] - states.z, (other.samples.w[:m] - states.w) / fastest], axis=1)
+    m = int(np.searchsorted(reference.samples.t, min(reference.t_end, neighbour.t_end), side="right"))
+    states = reference.samples.first(m)
+    deviation = np.concatenate(
+        [neighbour.samples.z[:m] - states.z, (neighbour.samples.w[:m] - states.w) / fastest], axis=1
+    )
     if not is_forced:
-        rates = slip_rates(system.of_unit_mass, states, one.events.modes_at(states.t))
+        rates = slip_rates(system.of_unit_mass, states, reference.events.modes_at(states.t))
         along = np.concatenate([states.w, rates / fastest], axis=1)
         size = (along**2).sum(axis=1)
-        apart -= ((apart * along).sum(axis=1) / np.where(size > 0.0, size, 1.0))[:, np.newaxis] * along
-    return np.asarray(apart)
+        deviation -= ((deviation * along).sum(axis=1) / np.where(size > 0.0, size, 1.0))[:, np.newaxis] * along
+    return np.asarray(deviation)
 
 
 def _of(instants: Floats, logs: Floats) -> Growth:
@@ -146,6 +148,6 @@ def _of(instants: Floats, logs: Floats) -> Growth:
     ends = begin + length / 3.0 * np.arange(1, 4)
     windows = ends[:, np.newaxis] - _WINDOW * length * np.linspace(0.0, 1.0, _INSTANTS)
     first, second, third = np.interp(windows, instants, logs).mean(axis=1).tolist()
-    parts = np.diff(np.interp(np.linspace(ends[0], ends[2], _PARTS + 1), instants, logs))
-    error = math.sqrt(_PARTS) * float(parts.std(ddof=1))
+    growths = np.diff(np.interp(np.linspace(ends[0], ends[2], _PARTS + 1), instants, logs))
+    error = math.sqrt(_PARTS) * float(growths.std(ddof=1))
     return Growth((third - first) / (length * 2.0 / 3.0), second - first, third - second, error)

@@ -33,9 +33,9 @@ def null_space(system: System) -> Any:
     if system.n > _DENSE:
         n_parts, part = connected_components(csr_array(k) != 0, directed=False)
         sizes = np.bincount(part, minlength=n_parts)
-        each = csr_array((sizes[part] ** -0.5, (np.arange(system.n), part)))
+        shifts = csr_array((sizes[part] ** -0.5, (np.arange(system.n), part)))
         is_held = np.bincount(part, np.abs(k @ np.ones(system.n)) > NULL * sums, minlength=n_parts) > 0
-        return each[:, np.flatnonzero(~is_held)]
+        return shifts[:, np.flatnonzero(~is_held)]
     dense = k if isinstance(k, np.ndarray) else k.toarray()
     _, sizes, directions = np.linalg.svd(dense / np.where(sums > 0.0, sums, 1.0)[:, np.newaxis])
     return np.asarray(directions[sizes <= NULL].T)

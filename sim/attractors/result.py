@@ -127,7 +127,7 @@ def same_cycle(one: Attractor, other: Attractor, tolerance: float = 1e-5) -> boo
         return False
     z, other_z = one.states.z, other.states.z
     if one.free is not None:
-        z, other_z = (each - each @ one.free @ one.free.T for each in (z, other_z))
+        z, other_z = (displacement - displacement @ one.free @ one.free.T for displacement in (z, other_z))
     dz, dw = other_z - z[0], other.states.w - one.states.w[0]
     sizes = (one.size or _largest(one.states), other.size or _largest(other.states))
     allowed = tolerance * max(sizes)

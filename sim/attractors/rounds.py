@@ -35,15 +35,17 @@ def rounds_of(last: EventSeries, back: float) -> Iterator[Round]:
     ago = last.t[-1] - last.t[place]
     rounds = np.arange(1, (len(place) - 1) // 2 + 1)
     period = ago[rounds]
-    again = np.abs(ago[2 * rounds] - 2.0 * period) <= 2.0 * _NEAR * period
-    again &= 2 * place[rounds] - (n - 1) >= 0
+    repeats = np.abs(ago[2 * rounds] - 2.0 * period) <= 2.0 * _NEAR * period
+    repeats &= 2 * place[rounds] - (n - 1) >= 0
     tried = {True: _TRIED, False: _TRIED_NEAR}
-    for k in rounds[again].tolist():
+    for k in rounds[repeats].tolist():
         p, span = n - 1 - int(place[k]), float(ago[k])
-        one, before = slice(n - p, n), slice(n - 2 * p, n - p)
-        if (symbols[one] != symbols[before]).any():
+        last_round, round_before = slice(n - p, n), slice(n - 2 * p, n - p)
+        if (symbols[last_round] != symbols[round_before]).any():
             continue
-        off = np.abs(last.t[one] - last.t[before] - span).max(initial=abs(ago[2 * k] - 2.0 * span)) / (2.0 * span)
+        off = np.abs(last.t[last_round] - last.t[round_before] - span).max(initial=abs(ago[2 * k] - 2.0 * span)) / (
+            2.0 * span
+        )
         is_back = bool(off <= back)
         if off <= _NEAR and tried[is_back] > 0:
             tried[is_back] -= 1

@@ -59,8 +59,10 @@ def is_small(system: System) -> bool:
 
 def _sizes(systems: Sequence[System], z: Floats, w: Floats) -> Floats:
     """The largest of |z|, |w|, belts and forces at the starts of runs, shape (m, n), and 1."""
-    own = [max(1.0, one.fastest_belt, float(one.most_force.max()) if one.force else 0.0) for one in systems]
-    return np.maximum(own, np.maximum(np.abs(z), np.abs(w)).max(axis=1))
+    scales = [
+        max(1.0, system.fastest_belt, float(system.most_force.max()) if system.force else 0.0) for system in systems
+    ]
+    return np.maximum(scales, np.maximum(np.abs(z), np.abs(w)).max(axis=1))
 
 
 def escape_bounds(systems: Sequence[System], z: Floats, w: Floats) -> Floats:
@@ -91,13 +93,13 @@ def escape(system: System, z: Floats, w: Floats) -> str:
     if np.isinf(eigenmodes.inverse).any() or not system.back_slip:  # what bars a side is a force without bound
         return ""
     size = np.abs(eigenmodes.inverse @ np.concatenate((z, w)))
-    held = np.abs(eigenmodes.inverse[:, system.n :]) @ (system.most_resistance + system.most_force)
+    friction = np.abs(eigenmodes.inverse[:, system.n :]) @ (system.most_resistance + system.most_force)
     rates = np.where(eigenmodes.eigenvalues.real > eigenmodes.rounding, eigenmodes.eigenvalues.real, 0.0)
-    margin = size * rates - _CERTAIN * held
+    margin = size * rates - _CERTAIN * friction
     mode = int(np.argmax(margin))
     if not margin[mode] > 0:
         return ""
-    times = size[mode] * rates[mode] / held[mode] if held[mode] > 0 else _NEVER
+    times = size[mode] * rates[mode] / friction[mode] if friction[mode] > 0 else _NEVER
     return f"a mode that grows at the rate {rates[mode]:.3g} is {times:.3g} times as far out as friction can hold it"
 
 
@@ -188,9 +190,9 @@ class Flow:
     def at(self, times: Floats) -> tuple[Floats, Floats]:
         """z and w, shape (m, n) each, at times from now, shape (m,)."""
         times = np.minimum(times, 1e300 / max(1.0, np.abs(self.eigenvalues).max()))  # all has faded long before
-        moved = (np.exp(np.multiply.outer(times, self.eigenvalues)) * self.coefficients) @ self.vectors.T
+        modes = (np.exp(np.multiply.outer(times, self.eigenvalues)) * self.coefficients) @ self.vectors.T
         n = len(self.rest)
-        return self.rest + moved.real[:, :n], moved.real[:, n:]
+        return self.rest + modes.real[:, :n], modes.real[:, n:]
 
 
 @dataclass(frozen=True)
@@ -303,7 +305,7 @@ class Smoothed:
     @cached_property
     def bends(self) -> list[tuple[Floats, Floats]]:
         """Bounds r of |w|, shape (m,), below `band`, and below `widest`, with rho(r) / mu by rows of all bounds."""
-        delta, c = (one[:, np.newaxis] for one in self._laws)
+        delta, c = (row[:, np.newaxis] for row in self._laws)
         rise, steepness = self._rise[:, np.newaxis], np.abs(1.0 - 2.0 * c)
         slope = (steepness * rise + 3.0 * c * rise**2) / delta
 
@@ -320,8 +322,8 @@ class Smoothed:
                 bend = np.maximum(bend, np.abs(concave(self.speed + r) - at_rest - slope * r))
             return r, bend
 
-        own = bend(self.band)
-        return [own, own if self.widest == self.band else bend(self.widest)]
+        of_band = bend(self.band)
+        return [of_band, of_band if self.widest == self.band else bend(self.widest)]
 
 
 class Friction(NamedTuple):

@@ -173,7 +173,7 @@ def setting(default: Any, about: Setting) -> Any:
 
 @cache  # small systems run in a fraction of a millisecond
 def _settings(engine: type[Engine]) -> dict[str, Setting]:
-    return {one.name: one.metadata["setting"] for one in fields(engine)}
+    return {field.name: field.metadata["setting"] for field in fields(engine)}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -254,7 +254,7 @@ class Engine(ABC):
     @classmethod
     def defaults(cls) -> dict[str, Any]:
         """The default of each setting, by name."""
-        return {one.name: one.default for one in fields(cls)}
+        return {field.name: field.default for field in fields(cls)}
 
     @staticmethod
     def cost(rate: float, settings: Mapping[str, Any]) -> float:

@@ -73,13 +73,13 @@ class Forcing(NamedTuple):
 
 
 @inner
-def acts(forcing):  # type: ignore[no-untyped-def]
+def acts(forcing: Forcing) -> bool:
     """Whether there is a force."""
     return len(forcing.poly) > 0
 
 
 @inner
-def begin(forcing, s):  # type: ignore[no-untyped-def]
+def begin(forcing: Forcing, s: float) -> None:
     """Prepare the coefficients of the series about the time s."""
     amplitude, frequency, phase, waves = forcing.amplitude, forcing.frequency, forcing.phase, forcing.waves
     m = len(amplitude)
@@ -91,7 +91,7 @@ def begin(forcing, s):  # type: ignore[no-untyped-def]
 
 
 @inner
-def take_off(forcing, s, k, forces):  # type: ignore[no-untyped-def]
+def take_off(forcing: Forcing, s: float, k: int, forces: Floats) -> float:
     """Subtract the k-th coefficient of g about s from that of K z, both shape (n,); k counts up from 0 after `begin`.
 
     Returns the largest coefficient.
@@ -122,7 +122,7 @@ def take_off(forcing, s, k, forces):  # type: ignore[no-untyped-def]
 
 
 @inner
-def may_change(forcing, s, h):  # type: ignore[no-untyped-def]
+def may_change(forcing: Forcing, s: float, h: float) -> float:
     """A bound of the change of g from s to s + h."""
     poly, amplitude, frequency, most = forcing.poly, forcing.amplitude, forcing.frequency, 0.0
     for i in range(poly.shape[1]):
@@ -134,7 +134,7 @@ def may_change(forcing, s, h):  # type: ignore[no-untyped-def]
 
 
 @inner
-def value_at(forcing, s, values):  # type: ignore[no-untyped-def]
+def value_at(forcing: Forcing, s: float, values: Floats) -> None:
     """g at the time s, shape (n,), of a force that acts."""
     poly, amplitude, frequency, phase = forcing.poly, forcing.amplitude, forcing.frequency, forcing.phase
     for i in range(len(values)):

@@ -7,34 +7,57 @@ so that a collapse may be certified, where the state passes a bound, and after s
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
-import numpy as np
+from collections.abc import Callable
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from stickslip.sim.engines import loop
-from stickslip.sim.engines.stacks import note_slice, rest_of, run_of
+from stickslip.sim.engines.loop import Events, State
+from stickslip.sim.engines.precheck import Precheck
+from stickslip.sim.engines.stacks import Model, Stack, Work, note_slice, rest_of, run_of
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.kernels.emit import by_reference
+from stickslip.sim.numerics.arguments import Ints
 
 
-class Way(NamedTuple):
+class Goal(Protocol):
+    """What a run is taken to."""
+
+    @property
+    def t_end(self) -> float: ...
+    @property
+    def is_last(self) -> bool: ...
+    @property
+    def bound(self) -> float: ...
+    @property
+    def instant(self) -> float:
+        """If it is not negative, one window is for the events by then, and the state stays."""
+
+
+Aim = TypeVar("Aim", bound=Goal)
+Window = TypeVar("Window")
+
+
+class Way(NamedTuple, Generic[Model, Work, Aim, Window]):
     """A way to follow a motion: functions that kernels call.
 
-    All take (model, work, goal, state) first: what is constant, workspace, what the run is taken to, and its state. A
-    goal has t_end, `is_last`, `bound`, and `instant`: if that is not negative, one window is for the events by then,
-    and the state stays.
+    All but the first take what is constant, workspace, what the run is taken to, its state, and a window.
     """
 
-    blank: Any  #: (): no window
-    open: Any  #: (window, remaining): that window, or, if it is over, the next one
-    note: Any  #: (events, n_recorded): record the modes that have changed; the number, and whether all are the same
-    at: Any  #: (window, t): keep the samples at the time t, where a run of no length ends
-    carry: Any
-    """(window, is_after_event, precheck, events, n_recorded): go on to the next event, or to the end of the window,
+    blank: Callable[[], Window]  #: no window
+    open: Callable[[Model, Work, Aim, State, Window, float], Window]
+    """The same window, or, if it is over, the next one; the time that remains is given."""
+    note: Callable[[Model, Work, Aim, State, Events, int], tuple[int, bool]]
+    """Record the modes that have changed, behind so many events; the number, and whether all are the same."""
+    at: Callable[[Model, Work, Aim, State, Window, float], None]
+    """Keep the samples at a time, where a run of no length ends."""
+    carry: Callable[[Model, Work, Aim, State, Window, bool, Precheck, Events, int], tuple[Window, int, bool]]
+    """``(..., is_after_event, precheck, events, n_recorded)``: go on to the next event, or to the end of the window,
     with the samples on the way. Returns the window, how many events are recorded, and if there is no progress."""
 
 
-def frame(way: Way) -> Any:
+def frame(
+    way: Way[Model, Work, Aim, Window],
+) -> Callable[[Stack[Model, Work, Any, Ints], Events, Precheck, int, Ints], None]:
     """For kernels, ``f(stack, events, precheck, first, slices)``: advance runs of a `Stack`, from the first on.
 
     Why each ended, and what it recorded, is put into a row of `slices`: see `Several.advance`. A second call goes on
@@ -43,10 +66,10 @@ def frame(way: Way) -> Any:
     blank, open_next, note, at, carry = way
 
     @inner
-    def take(run, events, precheck):  # type: ignore[no-untyped-def]
+    def take(run: Stack[Model, Work, Aim, int], events: Events, precheck: Precheck) -> tuple[int, int]:
         model, work, goal, state = run.model, run.work, run.goal, run.state
         clock, counters = state.clock, state.counters
-        n_recorded, n_last, window = np.int64(0), loop.n_tried(counters) + loop.STEPS_A_SLICE, blank()
+        n_recorded, n_last, window = 0, loop.n_tried(counters) + loop.STEPS_A_SLICE, blank()
         while loop.n_tried(counters) < n_last:
             remaining = goal.t_end - clock[loop.TIME]
             if remaining <= 0.0 and not goal.is_last:
@@ -79,7 +102,9 @@ def frame(way: Way) -> Any:
         return loop.PAUSED, n_recorded
 
     @inner
-    def take_all(stack, events, precheck, first, slices):  # type: ignore[no-untyped-def]
+    def take_all(
+        stack: Stack[Model, Work, Any, Ints], events: Events, precheck: Precheck, first: int, slices: Ints
+    ) -> None:
         for row in range(len(slices)):
             run = by_reference(run_of(stack, first + row))
             buffers = by_reference(rest_of(events, slices, row))

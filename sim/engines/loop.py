@@ -18,14 +18,16 @@ from numpy.typing import NDArray
 from stickslip.sim.engines import certificates
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.forcing import Drive, Forcing
-from stickslip.sim.engines.precheck import too_far
+from stickslip.sim.engines.precheck import Precheck, too_far
 from stickslip.sim.kernels.compile import inner
-from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.arguments import Floats, Ints
 from stickslip.sim.numerics.arithmetic import largest
 from stickslip.sim.runs.run import IntegrationError, Outcome, Run, StalledError, Stats, Stills
 from stickslip.sim.runs.series import EventSeries, without_returns
 
 Kind = TypeVar("Kind", bound=tuple[Any, ...])
+#: What each run has for itself: in a kernel a number, in a stack an array with a place for each run.
+Number = TypeVar("Number", float, Floats)
 
 #: Why a kernel returned.
 DONE, BUFFER_FULL, PAUSED, ALL_SLIP, DIVERGED, STALLED = range(6)
@@ -114,10 +116,10 @@ class State(NamedTuple):
 
         Of several tasks none has samples.
         """
-        may_collapse = [one.stop_early and one.system.has_one_belt and not one.system.changes for one in tasks]
+        may_collapse = [task.stop_early and task.system.has_one_belt and not task.system.changes for task in tasks]
         checks = [-math.inf if may else math.inf for may in may_collapse]
         clock = np.array(
-            [[0.0, check, check, 0.0, 0.0, 0.0, *own] for check, own in zip(checks, clocks, strict=True)]
+            [[0.0, check, check, 0.0, 0.0, 0.0, *of_engine] for check, of_engine in zip(checks, clocks, strict=True)]
         )
         z, w = np.array([[task.z0 for task in tasks], [task.w0 for task in tasks]])
         (m, n), first = mode.shape, tasks[0].samples
@@ -188,27 +190,27 @@ def of_run(part: Any, k: int | None) -> Any:
 
 
 @inner
-def n_tried(counters):  # type: ignore[no-untyped-def]
+def n_tried(counters: Ints) -> int:
     """How many steps there were, those that failed among them."""
     return counters[N_STEPS] + counters[N_REJECTED]
 
 
 @inner
-def later(t, lacking, step, t_end):  # type: ignore[no-untyped-def]
+def later(t: float, lacking: float, step: float, t_end: float) -> tuple[float, float]:
     """The time a step after t, and what it lacks by rounding, as t lacks `lacking`; t_end, exactly, if it takes all.
 
     Without that the time of a long run would be off by as many roundings, of one sign, as there are steps.
     """
-    by = step + lacking
-    end = t + by
+    length = step + lacking
+    end = t + length
     if step >= t_end - t or end >= t_end:
         return t_end, 0.0
     moved = end - t
-    return end, (t - (end - moved)) + (by - moved)
+    return end, (t - (end - moved)) + (length - moved)
 
 
 @inner
-def touch(before, mode, slope, braked, pull, error):  # type: ignore[no-untyped-def]
+def touch(before: int, mode: int, slope: float, braked: float, pull: float, error: float) -> float:
     """How long two opposite changes of mode take at most that are one instant but for an error of w.
 
     At the second of them: from which mode to which, F', w' just before, and the row sum of |K|.
@@ -232,13 +234,13 @@ def touch(before, mode, slope, braked, pull, error):  # type: ignore[no-untyped-
 
 
 @inner
-def note_event(clock, counters):  # type: ignore[no-untyped-def]
+def note_event(clock: Floats, counters: Ints) -> None:
     """Note that a block's mode has changed just now."""
     clock[_LAST_EVENT], counters[N_PRODUCTS_THEN] = clock[TIME], counters[N_PRODUCTS]
 
 
 @inner
-def is_check_due(state, mode, precheck, left):  # type: ignore[no-untyped-def]
+def is_check_due(state: State, mode: NDArray[np.int8], precheck: Precheck, left: float) -> bool:
     """Whether the pre-check of collapse is due, if all blocks slip in the direction of the first.
 
     Only where a certificate pays, counted in products, so that no clock decides: there was no event for a share of
@@ -252,7 +254,7 @@ def is_check_due(state, mode, precheck, left):  # type: ignore[no-untyped-def]
 
 
 @inner
-def may_collapse(state, slip, precheck):  # type: ignore[no-untyped-def]
+def may_collapse(state: State, slip: int, precheck: Precheck) -> bool:
     """Whether Python is to certify a collapse; if not, the time of the next pre-check is noted."""
     later = too_far(precheck, state.z, state.w) if state.mode[0] == slip else np.inf
     if later != 0.0:
@@ -261,13 +263,13 @@ def may_collapse(state, slip, precheck):  # type: ignore[no-untyped-def]
 
 
 @inner
-def is_within(state, bound):  # type: ignore[no-untyped-def]
+def is_within(state: State, bound: float) -> bool:
     """Whether |z_i| and |w_i| are at most the bound; a maximum of floats may lose a NaN, so it is asked this way."""
     return largest(state.z) <= bound and largest(state.w) <= bound
 
 
 @inner
-def note_all_stuck_at(is_all_stuck, t, z, events, counters):  # type: ignore[no-untyped-def]
+def note_all_stuck_at(is_all_stuck: bool, t: float, z: Floats, events: Events, counters: Ints) -> None:
     """Record where the blocks are if all of them stick now and did not before, or the other way round."""
     if (1 if is_all_stuck else 0) != counters[IS_ALL_STUCK]:
         counters[IS_ALL_STUCK] = 1 if is_all_stuck else 0
@@ -298,7 +300,7 @@ class Plan(NamedTuple):
     """Prepares the engine for the next piece, once `state` and `drive` are at its start."""
 
 
-class Begun(NamedTuple):
+class FirstSlice(NamedTuple):
     """Why the first slice of a run ended, and its events."""
 
     status: int
@@ -320,16 +322,16 @@ def capacity(events_a_step: int) -> int:
 class _Recorded:
     """The events of a run so far, and how many of them fall in each piece."""
 
-    def __init__(self, plan: Plan, state: State, drive: Drive, begun: Begun | None) -> None:
+    def __init__(self, plan: Plan, state: State, drive: Drive, first_slice: FirstSlice | None) -> None:
         self._plan, self._counters, self._drive = plan, state.counters, drive
         self._capacity = capacity(plan.events_a_step)
         self._full: list[Events] = []
         self._events: Events | None = None
         self.of_piece = [0]
-        if begun is not None:
-            self._full.append(begun.events)
-            self.of_piece = [len(begun.events.t)]
-            drive.place_all_stuck(begun.events.all_stuck)
+        if first_slice is not None:
+            self._full.append(first_slice.events)
+            self.of_piece = [len(first_slice.events.t)]
+            drive.place_all_stuck(first_slice.events.all_stuck)
 
     def _begin(self) -> Events:
         self._full = self._all()
@@ -405,7 +407,7 @@ def complete(
     drive: Drive,
     collapse: certificates.Collapse,
     plan: Plan,
-    begun: Begun | None = None,
+    first_slice: FirstSlice | None = None,
 ) -> Run:
     """Run slices of an engine until the run ends, gather its events, and say how it ended.
 
@@ -419,29 +421,26 @@ def complete(
     collapse : Collapse
         Asked for a certificate when the clocks say that it is due.
     plan : Plan
-    begun : Begun, optional
+    first_slice : FirstSlice, optional
         What came of the first slice, if it was run with others.
     """
     z, w, mode, clock, counters, _ = state
-    recorded, divergence = _Recorded(plan, state, drive, begun), _Divergence(task, drive)
+    recorded, divergence = _Recorded(plan, state, drive, first_slice), _Divergence(task, drive)
     outcome: Outcome = "finished"
     reason, t_collapse, n_placed = "", None, 0
     _hand_over(drive, task, state)
     while True:
-        status = recorded.slice(divergence.bound) if begun is None else begun.status
-        begun = None
+        status = recorded.slice(divergence.bound) if first_slice is None else first_slice.status
+        first_slice = None
         s = float(clock[TIME])
         t = drive.time(s)
         if status == DONE:
             if drive.is_last:
                 break
             n_placed = _to_user(drive, task, state, n_placed)
-            drive.go_on(z, w)
-            clock[TIME] = clock[LACKING] = 0.0
             recorded.of_piece.append(0)
-            _hand_over(drive, task, state)
+            _enter_next_piece(drive, task, state)
             plan.go_on()
-            counters[N_STALLED] = 0
         if status == ALL_SLIP:
             certificate = collapse.certify(z, w)
             if certificate.is_certain and t_collapse is None:
@@ -451,8 +450,8 @@ def complete(
                 t = task.t_end
                 break
             clock[CHECK + int(mode[0] > 0)] = s + certificate.ask_again_after
-        elif status == PAUSED and task.stop_early and drive.is_steady and (rest := plan.settles()) is not None:
-            _follow(rest, drive.length - s, s, state)
+        elif status == PAUSED and task.stop_early and drive.is_steady and (flow := plan.settles()) is not None:
+            _follow(flow, drive.length - s, s, state)
             t = task.t_end
             break
         elif status == DIVERGED:
@@ -485,6 +484,13 @@ def complete(
     )
 
 
+def _enter_next_piece(drive: Drive, task: Task, state: State) -> None:
+    drive.go_on(state.z, state.w)
+    state.clock[TIME] = state.clock[LACKING] = 0.0
+    state.counters[N_STALLED] = 0
+    _hand_over(drive, task, state)
+
+
 def _steps_left(task: Task, counters: NDArray[np.int64], t: float) -> float:
     """How many steps the rest of a run takes at its pace so far, if they are too many to be worth while, else 0."""
     n, steps = task.system.n, float(counters[N_STEPS])
@@ -503,8 +509,12 @@ def _series(
     t, s, block, mode = t[order], events.t[order], events.block[order], events.mode[order]
     series = []
     for d, modes in enumerate(plan.initial_modes):
-        of = block // n == d if plan.thresholds else slice(None)
-        series.append(EventSeries(t[of], block[of] - d * n, mode[of], modes, task.t_start, t_end))
+        of_definition = block // n == d if plan.thresholds else slice(None)
+        series.append(
+            EventSeries(
+                t[of_definition], block[of_definition] - d * n, mode[of_definition], modes, task.t_start, t_end
+            )
+        )
     touch = events.touch[order]
     # else no two events are that close, of whichever block
     if plan.tells_touches and (s[1:] - s[:-1] <= touch[1:]).any():
@@ -533,11 +543,11 @@ def _to_user(drive: Drive, task: Task, state: State, first: int) -> int:
     return last
 
 
-def _follow(flow: certificates.Flow, rest: float, s: float, state: State) -> None:
-    """Put the state at the end, `rest` from now, and the samples that are still due at s, into their arrays."""
+def _follow(flow: certificates.Flow, remaining: float, s: float, state: State) -> None:
+    """Put the state at the end, `remaining` from now, and the samples that are still due at s, into their arrays."""
     z, w, _, _, counters, samples = state
     first = int(counters[N_SAMPLED])
-    at_end, sampled = (flow.at(times) for times in (np.array([rest]), samples.t[first:] - s))
+    at_end, sampled = (flow.at(times) for times in (np.array([remaining]), samples.t[first:] - s))
     z[:], w[:] = at_end[0][0], at_end[1][0]  # separately: a product of another shape rounds differently
     samples.z[first:], samples.w[first:] = sampled
     counters[N_SAMPLED] = len(samples.t)

@@ -8,6 +8,7 @@ import numpy as np
 
 from stickslip.sim.engines.loop import by_run
 from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.lanes import Lane, where
 from stickslip.sim.systems.weakening.pieces import MOST, N_TERMS, Pieces
 
@@ -47,7 +48,7 @@ class Polynomials(NamedTuple):
 
 
 @inner
-def place_of(pieces, x):  # type: ignore[no-untyped-def]
+def place_of(pieces: Polynomials, x: float) -> int:
     """The number of the piece of x."""
     place, step = 0, (MOST + 1) // 2
     while step > 0:
@@ -58,7 +59,7 @@ def place_of(pieces, x):  # type: ignore[no-untyped-def]
 
 
 @inner
-def value_of(pieces, x):  # type: ignore[no-untyped-def]
+def value_of(pieces: Polynomials, x: float) -> float:
     """S of x."""
     place, value = place_of(pieces, x), 0.0
     for power in range(N_TERMS - 1, -1, -1):
@@ -67,7 +68,7 @@ def value_of(pieces, x):  # type: ignore[no-untyped-def]
 
 
 @inner
-def begin_series(pieces, x0, series):  # type: ignore[no-untyped-def]
+def begin_series(pieces: Polynomials, x0: Floats, series: Floats) -> None:
     """Put the coefficient of S by the m-th power of x - x0 into row m of `series`, where k = 0."""
     for i in range(len(x0)):
         place = place_of(pieces, x0[i])
@@ -80,7 +81,7 @@ def begin_series(pieces, x0, series):  # type: ignore[no-untyped-def]
 
 
 @inner
-def extend_series(k, z, scale, series):  # type: ignore[no-untyped-def]
+def extend_series(k: int, z: Floats, scale: Floats, series: Floats) -> None:
     """S_k, k >= 1: the sum of these coefficients times those of (x - x0)^m, which stand in row m, m >= 1."""
     n = len(scale)
     for i in range(n):
@@ -101,39 +102,39 @@ def extend_series(k, z, scale, series):  # type: ignore[no-untyped-def]
 
 
 @inner
-def left_at(pieces, series, shape, i, order, h):  # type: ignore[no-untyped-def]
+def left_at(pieces: Polynomials, series: Floats, scale: float, x0: float, i: int, order: int, h: float) -> float:
     """The first time, at most h, at which x of a block leaves what its polynomial holds for."""
-    place, reach, power = place_of(pieces, shape.x0[i]), 0.0, 1.0
+    place, reach, power = place_of(pieces, x0), 0.0, 1.0
     for k in range(1, order):
         power *= h
-        reach += abs(shape.scale[i] * (k + 1) * series[k + 1, i]) * power
+        reach += abs(scale * (k + 1) * series[k + 1, i]) * power
     low, high = pieces.low[place], pieces.high[place]
-    if shape.x0[i] + reach <= high and shape.x0[i] - reach >= low:
+    if x0 + reach <= high and x0 - reach >= low:
         return h
     part = h / _LOOKED_AT
-    last, now = shape.x0[i], shape.x0[i]
+    last, now = x0, x0
     for k in range(_LOOKED_AT):
         before, after = k * part, (k + 1) * part
-        x = _at(series, shape, i, order, after)
+        x = _at(series, scale, x0, i, order, after)
         if low <= x <= high and (now - last) * (x - now) < 0.0:  # it turned, about where a parabola does
             before, turn = before - part, before + 0.5 * part * (last - x) / (last - 2.0 * now + x)
-            last, now, x = now, x, _at(series, shape, i, order, turn)
+            last, now, x = now, x, _at(series, scale, x0, i, order, turn)
             after = turn
         else:
             last, now = now, x
         if x > high or x < low:
             for _ in range(_BISECTIONS):
                 middle = 0.5 * (before + after)
-                x = _at(series, shape, i, order, middle)
+                x = _at(series, scale, x0, i, order, middle)
                 before, after = (before, middle) if x > high or x < low else (middle, after)
             return after
     return h
 
 
 @inner
-def _at(series, shape, i, order, s):  # type: ignore[no-untyped-def]
+def _at(series: Floats, scale: float, x0: float, i: int, order: int, s: float) -> float:
     """x of a block at a time s into its series."""
     x = 0.0
     for k in range(order - 1, 0, -1):
         x = (x + (k + 1) * series[k + 1, i]) * s
-    return shape.x0[i] + shape.scale[i] * x
+    return x0 + scale * x

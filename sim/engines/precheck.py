@@ -43,7 +43,7 @@ _NO_INVERSE, _NO_SIZES, _NO_ROW = np.empty((2, 0, 0)), np.empty((0, 0)), np.empt
 
 
 @inner
-def too_far(precheck, z, w):  # type: ignore[no-untyped-def]
+def too_far(precheck: Precheck, z: Floats, w: Floats) -> float:
     """The time after which to ask again if no collapse can be certified of this state, else 0; see `Collapse`."""
     if precheck.limit == 0.0:
         return 0.0

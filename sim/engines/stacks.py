@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, partial
 from itertools import groupby
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numba import types
@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from stickslip.sim.engines import certificates, loop
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.forcing import Drive, times
-from stickslip.sim.engines.loop import Begun, Events, State
+from stickslip.sim.engines.loop import Events, FirstSlice, State
 from stickslip.sim.kernels.compile import code_of, inner
 from stickslip.sim.kernels.emit import IS_COMPILED
-from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.arguments import Floats, Ints
 from stickslip.sim.runs.run import Run, Stills
 from stickslip.sim.runs.series import EventSeries
 
@@ -34,14 +34,20 @@ _CODE: dict[Any, Any] = {}
 _ANEW = -1
 
 
-class Stack(NamedTuple):
+Model = TypeVar("Model")
+Work = TypeVar("Work")
+Goal = TypeVar("Goal")
+Slip = TypeVar("Slip", int, Ints)
+
+
+class Stack(NamedTuple, Generic[Model, Work, Goal, Slip]):
     """Runs that one call advances, as `frame` takes them. Arrays have a place for each run; see `loop.by_run`."""
 
-    model: Any
-    work: Any
-    goal: Any
+    model: Model
+    work: Work
+    goal: Goal
     state: State
-    slip: NDArray[np.int64]  #: of the pre-check
+    slip: Slip  #: of the pre-check
     events_a_step: int  #: the most that one step can record
 
 
@@ -72,10 +78,10 @@ def _emit_run(context: Any, builder: Any, kind: Any, value: Any, k: Any) -> Any:
     return context.make_tuple(builder, of_run, fields)
 
 
-def _run_of(typing_context, stack, k):  # type: ignore[no-untyped-def]
+def _run_of(typing_context: Any, stack: Any, k: Any) -> Any:
     """Run k of a stack, as tuples of views."""
 
-    def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return _emit_run(context, builder, stack, *arguments)
 
     return _type_of_run(stack)(stack, types.intp), codegen
@@ -85,7 +91,7 @@ run_of: Any = intrinsic(_run_of) if IS_COMPILED else loop.of_run
 
 
 @inner
-def rest_of(events, slices, k):  # type: ignore[no-untyped-def]
+def rest_of(events: Events, slices: Ints, k: int) -> Events:
     """What is left of the buffers of a stack for the events of run k."""
     n_recorded, n_all_stuck = 0, 0
     for j in range(k):
@@ -98,7 +104,7 @@ def rest_of(events, slices, k):  # type: ignore[no-untyped-def]
 
 
 @inner
-def note_slice(slices, k, status, n_recorded, counters):  # type: ignore[no-untyped-def]
+def note_slice(slices: Ints, k: int, status: int, n_recorded: int, counters: Ints) -> None:
     """Note why run k of a stack ended its slice, and how many events and all-stuck intervals it recorded."""
     slices[k, 0], slices[k, 1], slices[k, 2] = status, n_recorded, counters[loop.N_ALL_STUCK]
 
@@ -111,8 +117,8 @@ def alike(tasks: Sequence[Task]) -> Iterator[tuple[bool, list[Task]]]:
             return None
         return task.system.n, task.stop_early, task.certify
 
-    for common, some in groupby(tasks, kind):
-        yield common is not None, list(some)
+    for common, group in groupby(tasks, kind):
+        yield common is not None, list(group)
 
 
 def runs(
@@ -124,12 +130,12 @@ def runs(
     others.
     """
     calls: list[Callable[[], Run]] = []
-    for may_begin, some in alike(tasks):
-        several = together(some) if may_begin and len(some) > 1 else None
+    for may_begin, group in alike(tasks):
+        several = together(group) if may_begin and len(group) > 1 else None
         if several is None:
-            calls += [partial(alone, task) for task in some]
+            calls += [partial(alone, task) for task in group]
         else:
-            calls += [partial(several.run, k, begun) for k, begun in enumerate(several.begin())]
+            calls += [partial(several.run, k, first_slice) for k, first_slice in enumerate(several.begin())]
     return calls
 
 
@@ -174,7 +180,7 @@ class Several(ABC):
 
     @cached_property
     def _slips(self) -> NDArray[np.int64]:
-        return np.array([each.precheck.slip for each in self.collapse])
+        return np.array([collapse.precheck.slip for collapse in self.collapse])
 
     @abstractmethod
     def goal(self, drive: Drive) -> Any:
@@ -193,7 +199,7 @@ class Several(ABC):
         drive = self.drives[first]
         self.lengths[first] = drive.length
         stack = Stack(self.models, self.work, self.goal(drive), self.states, self._slips, self.events_a_step)
-        kernel, arguments = type(self).kernel, (stack, events, self.collapse[first].precheck, first, slices)
+        kernel, arguments = self.kernel, (stack, events, self.collapse[first].precheck, first, slices)
         is_of_one_type = self.is_of_one_type and self.collapse[first].precheck.limit == 0.0
         (_CODE.get(kernel, kernel) if is_of_one_type else kernel)(*arguments)
         if is_of_one_type and kernel not in _CODE:
@@ -221,17 +227,19 @@ class Several(ABC):
         z, w, mode, clock, counters, (t, z_there, w_there) = self.states
         return State(z[k], w[k], mode[k], clock[k], counters[k], loop.Buffers(t[k], z_there[k], w_there[k]))
 
-    def go_on(self, k: int, begun: Begun | None = None) -> Run:
+    def go_on(self, k: int, first_slice: FirstSlice | None = None) -> Run:
         """Run the task k to its end, from its start or from where its first slice ended."""
-        return loop.complete(self.tasks[k], self.state(k), self.drives[k], self.collapse[k], self.plan(k), begun)
+        return loop.complete(
+            self.tasks[k], self.state(k), self.drives[k], self.collapse[k], self.plan(k), first_slice
+        )
 
-    def run(self, k: int, begun: Begun) -> Run:
+    def run(self, k: int, first_slice: FirstSlice) -> Run:
         """The run of the task k, whose first slice has been run."""
-        if begun.status == _ANEW:
+        if first_slice.status == _ANEW:
             return self.alone(k)
-        return self._ended(k, begun) if begun.is_whole else self.go_on(k, begun)
+        return self._ended(k, first_slice) if first_slice.is_whole else self.go_on(k, first_slice)
 
-    def begin(self) -> list[Begun]:
+    def begin(self) -> list[FirstSlice]:
         """Advance each run by its first slice."""
         systems = [task.system for task in self.tasks]
         self.bounds[:] = certificates.escape_bounds(systems, self.states.z, self.states.w)
@@ -250,8 +258,8 @@ class Several(ABC):
 
         def on_clock(s: Floats, counts: NDArray[np.int64]) -> tuple[NDArray[np.intp], Floats]:
             """The number of the run, and its time."""
-            of = np.arange(several).repeat(counts)
-            return of, times(starts[of], stops[of], s)
+            run = np.arange(several).repeat(counts)
+            return run, times(starts[run], stops[run], s)
 
         of_event, t = on_clock(s, slices[:, 1])
         order = np.lexsort((block, t, of_event))  # as in `loop.complete`
@@ -264,7 +272,7 @@ class Several(ABC):
         all_stuck = np.array([np.where(whole[of_stuck], stuck_t, stuck_s), total])
         events = Events(s, block, mode, touch, all_stuck)
         return [
-            Begun(
+            FirstSlice(
                 status,
                 events.part(end - n_events, end)._replace(all_stuck=all_stuck[:, stuck - n_stuck : stuck]),
                 is_whole,
@@ -274,9 +282,9 @@ class Several(ABC):
             )
         ]
 
-    def _ended(self, k: int, begun: Begun) -> Run:
+    def _ended(self, k: int, first_slice: FirstSlice) -> Run:
         """Run k, whose first slice was all of it, as `loop.complete` would give it."""
-        task, (t, block, mode, _, all_stuck) = self.tasks[k], begun.events
+        task, (t, block, mode, _, all_stuck) = self.tasks[k], first_slice.events
         return Run(
             z=self.states.z[k],
             w=self.states.w[k],
@@ -293,6 +301,6 @@ class Several(ABC):
 def _may_be_touches(of_block: NDArray[np.intp], t: Floats, touch: Floats) -> NDArray[np.intp]:
     """The events that follow on one of the same block within `touch`, which has one number an event."""
     order = np.argsort(of_block, kind="stable")
-    block, at = of_block[order], t[order]
-    is_close = (block[1:] == block[:-1]) & (at[1:] - at[:-1] <= touch[order][1:])
+    block, times = of_block[order], t[order]
+    is_close = (block[1:] == block[:-1]) & (times[1:] - times[:-1] <= touch[order][1:])
     return order[1:][is_close]

@@ -88,22 +88,22 @@ class CacheFiles:
         CacheError
             If others could have written it.
         """
-        kept = self._read(key)
-        if kept is None and repr(key) not in self._locks:
+        entry = self._read(key)
+        if entry is None and repr(key) not in self._locks:
             self._locks[repr(key)] = self._alone(key)
-            kept = self._read(key)
-            if kept is not None:
+            entry = self._read(key)
+            if entry is not None:
                 self._locks.pop(repr(key)).close()
-        return kept
+        return entry
 
     def _alone(self, key: object) -> contextlib.ExitStack:
         """A lock against other processes that compile it, unless nothing can be locked or it takes too long."""
-        held = contextlib.ExitStack()
+        locks = contextlib.ExitStack()
         with contextlib.suppress(OSError), _opened(self._directory) as directory:
             # others may not read it either, or they could lock it
             how = os.O_RDONLY | os.O_CREAT | os.O_NOFOLLOW
             lock = os.open(self._file(key, ".lock"), how, 0o600, dir_fd=directory)
-            held.callback(os.close, lock)
+            locks.callback(os.close, lock)
             end = time.monotonic() + _PATIENCE
             while time.monotonic() < end:
                 try:
@@ -111,7 +111,7 @@ class CacheFiles:
                     break
                 except BlockingIOError:
                     time.sleep(0.05)
-        return held
+        return locks
 
     def _read(self, key: object) -> Any:
         try:
@@ -152,11 +152,11 @@ class CacheFiles:
 
 
 def _kernels(directory: int) -> list[str]:
-    listed = os.open(".", os.O_RDONLY | os.O_DIRECTORY, dir_fd=directory)
+    descriptor = os.open(".", os.O_RDONLY | os.O_DIRECTORY, dir_fd=directory)
     try:
-        return [name for name in os.listdir(listed) if name.endswith(_ENDING)]
+        return [name for name in os.listdir(descriptor) if name.endswith(_ENDING)]
     finally:
-        os.close(listed)
+        os.close(descriptor)
 
 
 # ---------------------------------------------------------------------------------------------- whose it may be
@@ -165,27 +165,27 @@ def _kernels(directory: int) -> list[str]:
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[int]:
     """A descriptor by which the files of a directory are opened; a missing directory is created."""
-    parts, at, n_links = [*reversed(path.absolute().parts)], Path("/"), 0
-    held = os.open("/", PASS)
+    parts, place, n_links = [*reversed(path.absolute().parts)], Path("/"), 0
+    descriptor = os.open("/", PASS)
     try:
         while parts:
             name = parts.pop()
-            found = _found(name, held)
-            if stat.S_ISLNK(found.st_mode):
-                if not is_ours(found):
-                    raise _refusal(at / name, f"a link of {_owner(found)}", path)
+            status = _found(name, descriptor)
+            if stat.S_ISLNK(status.st_mode):
+                if not is_ours(status):
+                    raise _refusal(place / name, f"a link of {_owner(status)}", path)
                 n_links += 1
                 if n_links > MOST_LINKS:
                     raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path))
-                parts += reversed(Path(os.readlink(name, dir_fd=held)).parts)
+                parts += reversed(Path(os.readlink(name, dir_fd=descriptor)).parts)
                 continue
-            inner = os.open(name, PASS, dir_fd=held)
-            os.close(held)
-            held, at = inner, at.parent if name == ".." else at / name  # no part of `at` is a link
-            _check(os.fstat(held), at, path, is_passed=bool(parts))
-        yield held
+            inner = os.open(name, PASS, dir_fd=descriptor)
+            os.close(descriptor)
+            descriptor, place = inner, place.parent if name == ".." else place / name  # no part of `at` is a link
+            _check(os.fstat(descriptor), place, path, is_passed=bool(parts))
+        yield descriptor
     finally:
-        os.close(held)
+        os.close(descriptor)
 
 
 def _found(name: str, directory: int) -> os.stat_result:
@@ -206,9 +206,9 @@ def _content(directory: int, file: Path) -> bytes:
             raise _refusal(file, "a link", file.parent) from None
         raise
     try:
-        found = os.fstat(descriptor)
-        _check(found, file, file.parent)
-        if not stat.S_ISREG(found.st_mode):
+        status = os.fstat(descriptor)
+        _check(status, file, file.parent)
+        if not stat.S_ISREG(status.st_mode):
             raise _refusal(file, "no plain file", file.parent)
         with open(descriptor, "rb", closefd=False) as stream:
             return stream.read()
@@ -216,31 +216,31 @@ def _content(directory: int, file: Path) -> bytes:
         os.close(descriptor)
 
 
-def is_ours(found: os.stat_result) -> bool:
+def is_ours(status: os.stat_result) -> bool:
     """Whether a file or a directory is this user's or root's."""
-    return found.st_uid in (0, os.geteuid())
+    return status.st_uid in (0, os.geteuid())
 
 
-def others_write(found: os.stat_result) -> bool:
+def others_write(status: os.stat_result) -> bool:
     """Whether its mode lets others write it."""
-    return bool(found.st_mode & (stat.S_IWGRP | stat.S_IWOTH))
+    return bool(status.st_mode & (stat.S_IWGRP | stat.S_IWOTH))
 
 
-def _owner(found: os.stat_result) -> str:
-    return f"the user with the id {found.st_uid}"
+def _owner(status: os.stat_result) -> str:
+    return f"the user with the id {status.st_uid}"
 
 
-def _check(found: os.stat_result, at: Path, cache: Path, is_passed: bool = False) -> None:
+def _check(status: os.stat_result, place: Path, cache: Path, is_passed: bool = False) -> None:
     """Refuse what others own or may write; in a directory that is only passed, the sticky bit protects ours."""
-    if not is_ours(found):
-        raise _refusal(at, f"one of {_owner(found)}", cache)
-    if others_write(found) and not (is_passed and found.st_mode & stat.S_ISVTX):
-        raise _refusal(at, f"one that others may write (mode {stat.S_IMODE(found.st_mode):o})", cache)
+    if not is_ours(status):
+        raise _refusal(place, f"one of {_owner(status)}", cache)
+    if others_write(status) and not (is_passed and status.st_mode & stat.S_ISVTX):
+        raise _refusal(place, f"one that others may write (mode {stat.S_IMODE(status.st_mode):o})", cache)
 
 
-def _refusal(at: Path, got: str, cache: Path) -> CacheError:
+def _refusal(place: Path, got: str, cache: Path) -> CacheError:
     return CacheError(
         f"kernel cache {cache} on {os.uname().nodename}: expected directories and files of your own or root's that "
-        f"nobody else may write, as what is kept there is run; got {at}, {got}; set NUMBA_CACHE_DIR to a directory "
-        f"of your own (mkdir -m 700), or remove what is not yours and `chmod go-w` what is"
+        f"nobody else may write, as what is kept there is run; got {place}, {got}; set NUMBA_CACHE_DIR to a "
+        f"directory of your own (mkdir -m 700), or remove what is not yours and `chmod go-w` what is"
     )

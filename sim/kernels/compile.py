@@ -28,7 +28,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar, overload
 
 import numba
 import numpy as np
@@ -39,6 +39,8 @@ from numba.core.runtime import rtsys
 
 from stickslip.sim.kernels.cache import CacheFiles, cache_directory
 from stickslip.sim.kernels.emit import IS_COMPILED, is_reference
+
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def _jit(function: Callable[..., Any], counts: bool, **options: Any) -> Any:
@@ -61,8 +63,8 @@ class _KernelCache:
     def load_overload(self, signature: Any, target: Any) -> Any:
         """The kept kernel. numba would first load all that it needs to compile, which takes half a second."""
         rtsys.initialize(target)  # compiled code may call it
-        kept = self._files.load(self._key(signature, target))
-        return None if kept is None else CompileResult._rebuild(target, *kept)
+        entry = self._files.load(self._key(signature, target))
+        return None if entry is None else CompileResult._rebuild(target, *entry)
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         try:
@@ -173,11 +175,15 @@ def _warn_uncached(error: OSError) -> None:
     )
 
 
+@overload
+def inner(function: Function) -> Function: ...
+@overload
+def inner(*, counts: bool) -> Callable[[Function], Function]: ...
 def inner(function: Callable[..., Any] | None = None, *, counts: bool = False) -> Any:
     """Compile a function of numbers and arrays that kernels call, and Python cannot.
 
     It becomes part of each `kernel` that needs it, without a wrapper for Python, machine code or a file of its own,
-    which take time.
+    which take time. numba takes types from calls; annotations are for readers, and for mypy, which checks calls.
     """
     if function is None:
         return partial(inner, counts=counts)
@@ -202,20 +208,24 @@ def one_of(functions: Sequence[Callable[..., Any]]) -> Any:
     """For kernels, ``f(number, *arguments)``: the function of that number. All take and return the same types."""
     if not IS_COMPILED:
         return lambda number, *arguments: functions[number](*arguments)
-    first, others = inner(functions[0]), functions[1:]
-    if not others:
+    first, tail = inner(functions[0]), functions[1:]
+    if not tail:
         return inner(lambda number, *arguments: first(*arguments))
-    rest = one_of(others)
+    of_tail = one_of(tail)
 
     @inner
-    def choose(number, *arguments):  # type: ignore[no-untyped-def]
+    def choose(number: int, *arguments: Any) -> Any:
         if number == 0:
             return first(*arguments)
-        return rest(number - 1, *arguments)
+        return of_tail(number - 1, *arguments)
 
     return choose
 
 
+@overload
+def kernel(function: Function) -> Function: ...
+@overload
+def kernel(*, counts: bool) -> Callable[[Function], Function]: ...
 def kernel(function: Callable[..., Any] | None = None, *, counts: bool = False) -> Any:
     """Compile a function of numbers and arrays that Python calls, with all that it calls, and keep it on disk."""
     if function is None:

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from functools import wraps
 from hashlib import sha256
 from inspect import Parameter, Signature, signature
-from typing import Any, ClassVar, NamedTuple, TypeAlias, cast
+from typing import Any, ClassVar, NamedTuple, TypeAlias, TypeVar, cast
 
 import numpy as np
 from llvmlite import ir
@@ -194,7 +194,12 @@ class ByName:
     """
 
     places: ClassVar[dict[str, tuple[int, int]]]
-    array: NDArray[Any]
+
+    def __init__(self, array: NDArray[Any]) -> None:
+        self.array = array
+
+
+Kind = TypeVar("Kind", bound=ByName)
 
 
 class View(NamedTuple):
@@ -470,13 +475,13 @@ def _field(context: Any, builder: Any, kind: Reference, value: Any, name: str) -
     return builder.load(place)
 
 
-def _refer(_: Any, whole: Any) -> Any:
+def _refer(_: Any, kind: Any) -> Any:
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         place = cgutils.alloca_once(builder, arguments[0].type)
         builder.store(arguments[0], place)
         return builder.bitcast(place, _ADDRESS)
 
-    return Reference(whole)(whole), codegen
+    return Reference(kind)(kind), codegen
 
 
 def is_reference(argument: Any) -> bool:
@@ -526,7 +531,7 @@ def _rows(context: Any, builder: Any, kind: Named, value: Any, name: str) -> Any
     return _array(context, builder, types.Array(kind.array.dtype, len(shape), "C"), data, shape, strides)
 
 
-def named(table: type[ByName]) -> Any:
+def named(table: type[Kind]) -> Callable[[NDArray[Any]], Kind]:
     """For kernels, ``f(array)``: the array by the names of a table. Its rows are arrays, and cost nothing to make."""
     if not IS_COMPILED:
         return table
@@ -540,4 +545,4 @@ def named(table: type[ByName]) -> Any:
 
         return kind(array), codegen
 
-    return apply
+    return cast(Callable[[NDArray[Any]], Kind], apply)

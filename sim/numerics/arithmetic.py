@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numba import types
@@ -12,10 +12,13 @@ from numpy.typing import DTypeLike, NDArray
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.kernels.emit import emitted
 from stickslip.sim.kernels.emit import room as room
+from stickslip.sim.numerics.arguments import Floats
 
 #: A bound of the rounding of a sum, relative to the sum of the magnitudes of its terms
 ROUNDING = 32 * np.finfo(np.float64).eps
 _LINE = 64  # the bytes of a line of the cache
+
+Entry = TypeVar("Entry", bound=np.generic)
 
 
 def aligned_zeros(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
@@ -35,7 +38,7 @@ _as_float = emitted(lambda code, word: code.number(word), types.float64)
 
 
 @inner
-def largest(x):  # type: ignore[no-untyped-def]
+def largest(x: Floats) -> float:
     """max |x_i|, NaN if there is one: by their bits, since a maximum of floats does not vectorise."""
     most = np.int64(0)
     for i in range(len(x)):
@@ -45,7 +48,7 @@ def largest(x):  # type: ignore[no-untyped-def]
 
 
 @inner
-def copy(source, target):  # type: ignore[no-untyped-def]
+def copy(source: NDArray[Entry], target: NDArray[Entry]) -> None:
     """target = source: as a loop, since an assignment of arrays takes ten times as long to compile."""
     for i in range(len(source)):
         target[i] = source[i]

@@ -11,6 +11,7 @@ from typing import Any
 
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.kernels.emit import Array, Cell, Code, Index, emitted
+from stickslip.sim.numerics.arguments import Floats
 
 #: How many levels share a pass, and how many blocks; what is left of these goes by the next width.
 _LEVELS, _WIDTHS = 4, (16, 4, 1)
@@ -51,7 +52,7 @@ def _all_levels(width: int) -> Any:
     several, single = _pass(_LEVELS, width, True), _pass(1, width, True)
 
     @inner
-    def apply(rows, target, i, order, steps):  # type: ignore[no-untyped-def]
+    def apply(rows: Floats, target: Floats, i: int, order: int, steps: Floats) -> None:
         k = 0
         while k + _LEVELS <= order:
             several(rows, target, i, k, order, steps)
@@ -68,7 +69,7 @@ def _two_levels(width: int) -> Any:
     two = _pass(2, width, False)
 
     @inner
-    def apply(rows, target, i, order, steps):  # type: ignore[no-untyped-def]
+    def apply(rows: Floats, target: Floats, i: int, order: int, steps: Floats) -> None:
         two(rows, target, i, 0, order, steps)
 
     return apply
@@ -79,7 +80,7 @@ def _over_columns(parts: list[Any]) -> Any:
     (wide, narrow, _), (of_wide, of_narrow, of_one) = _WIDTHS, parts
 
     @inner
-    def apply(rows, target, first, last, order, steps):  # type: ignore[no-untyped-def]
+    def apply(rows: Floats, target: Floats, first: int, last: int, order: int, steps: Floats) -> None:
         by_wide, by_narrow = last - (last - first) % wide, last - (last - first) % narrow
         for i in range(first, by_wide, wide):
             of_wide(rows, target, i, order, steps)
@@ -95,7 +96,7 @@ _shift, _values = _over_columns([*map(_all_levels, _WIDTHS)]), _over_columns([*m
 
 
 @inner
-def shift_rows(rows, first, last, order, steps):  # type: ignore[no-untyped-def]
+def shift_rows(rows: Floats, first: int, last: int, order: int, steps: Floats) -> None:
     """Shift the origin of the series of blocks `first` to `last` - 1, each by its step.
 
     c_k <- sum_m C(m, k) c_m step^(m - k), m up to `order`.
@@ -104,6 +105,6 @@ def shift_rows(rows, first, last, order, steps):  # type: ignore[no-untyped-def]
 
 
 @inner
-def values_and_slopes(rows, order, steps, values):  # type: ignore[no-untyped-def]
+def values_and_slopes(rows: Floats, order: int, steps: Floats, values: Floats) -> None:
     """Value and slope of the series of every block, of this order, at least 2, a step from its origin, by rows."""
     _values(rows, values, 0, rows.shape[1], order, steps)

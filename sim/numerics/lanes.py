@@ -45,9 +45,9 @@ def total(terms: list[Lane]) -> Lane:
 
 def dot(weights: Any, terms: list[Lane]) -> Lane:
     """sum_k weights_k terms_k, in order, each step one instruction; weights of zero are left out."""
-    kept = [(float(weight), term) for weight, term in zip(weights, terms, strict=True) if weight != 0.0]
-    result = kept[0][1] * kept[0][0]
-    for weight, term in kept[1:]:
+    weighted = [(float(weight), term) for weight, term in zip(weights, terms, strict=True) if weight != 0.0]
+    result = weighted[0][1] * weighted[0][0]
+    for weight, term in weighted[1:]:
         result = result + term * weight
     return result
 
@@ -114,8 +114,8 @@ def on_rows(formula: Callable[[Any, Any], Lane | None]) -> Any:
     condition, f returns a number whose bit k says whether it holds in column k: `ALL` if it does in all.
     """
 
-    def piece(code: Code, table: View, column: Index, given: Any) -> Index | None:
-        shared = Numbers(code, given) if isinstance(given, View) else given
+    def piece(code: Code, table: View, column: Index, table_of_numbers: Any) -> Index | None:
+        shared = Numbers(code, table_of_numbers) if isinstance(table_of_numbers, View) else table_of_numbers
         condition = formula(Rows(table, column), shared)
         return None if condition is None else code.bits(condition)
 

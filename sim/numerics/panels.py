@@ -7,13 +7,14 @@ kept in panels of rows; the sums of a panel, for every vector, stay in registers
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.kernels.emit import Array, Code, Index, emitted
+from stickslip.sim.numerics.arguments import Ints
 from stickslip.sim.numerics.arithmetic import aligned_zeros
 
 #: Rows of a panel: sums of 8 float64 or 16 float32 fill two registers of AVX2 a vector.
@@ -26,6 +27,8 @@ PAIR_HEIGHT, SINGLE_PAIR_HEIGHT = 16, 32
 SINGLE_ERROR = 8 * float(np.finfo(np.float32).eps)
 _SINGLE_MAX = float(np.finfo(np.float32).max)
 
+Real = TypeVar("Real", np.float64, np.float32)
+
 
 def panels(matrix: NDArray[np.float64], height: int, dtype: DTypeLike) -> NDArray[Any]:
     """A square matrix, or several, shape (..., n, n), in panels of `height` rows, each stored by columns.
@@ -33,15 +36,15 @@ def panels(matrix: NDArray[np.float64], height: int, dtype: DTypeLike) -> NDArra
     Rows of zeros are added to fill the last panel. Shape (..., number of panels, n, height).
     """
     *several, n, _ = matrix.shape
-    found, whole = aligned_zeros((*several, -(-n // height), n, height), dtype), n // height
+    stored, n_full = aligned_zeros((*several, -(-n // height), n, height), dtype), n // height
     if dtype == np.float32:  # what is beyond its range is not used, but infinity would be warned of
         matrix = np.clip(matrix, -_SINGLE_MAX, _SINGLE_MAX)
-    if whole:
-        rows = matrix[..., : whole * height, :].reshape(*several, whole, height, n)
-        found[..., :whole, :, :] = rows.swapaxes(-1, -2)
+    if n_full:
+        rows = matrix[..., : n_full * height, :].reshape(*several, n_full, height, n)
+        stored[..., :n_full, :, :] = rows.swapaxes(-1, -2)
     if n % height:
-        found[..., whole, :, : n % height] = matrix[..., whole * height :, :].swapaxes(-1, -2)
-    return found
+        stored[..., n_full, :, : n % height] = matrix[..., n_full * height :, :].swapaxes(-1, -2)
+    return stored
 
 
 def _panel(n_vectors: int, height: int, single: bool, listed: bool = False) -> Any:
@@ -85,7 +88,7 @@ def products(n_vectors: int, single: bool = False) -> Any:
     panel = _panel(n_vectors, SINGLE_HEIGHT if single else HEIGHT, single)
 
     @inner
-    def apply(panels, x, y):  # type: ignore[no-untyped-def]
+    def apply(panels: NDArray[Real], x: NDArray[Real], y: NDArray[Real]) -> None:
         for p in range(len(panels)):
             panel(panels, p, x, y)
 
@@ -101,7 +104,7 @@ def pair_products(single: bool = False) -> Any:
     panel = _panel(2, SINGLE_PAIR_HEIGHT if single else PAIR_HEIGHT, single, listed=True)
 
     @inner
-    def apply(panels, x, y, columns, m):  # type: ignore[no-untyped-def]
+    def apply(panels: NDArray[Real], x: NDArray[Real], y: NDArray[Real], columns: Ints, m: int) -> None:
         for p in range(len(panels)):
             panel(panels, p, x, y, columns, m)
 

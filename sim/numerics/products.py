@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.kernels.compile import inner
-from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.arguments import Floats, Ints
 from stickslip.sim.numerics.panels import PAIR_HEIGHT, SINGLE_PAIR_HEIGHT, pair_products, panels
+from stickslip.sim.numerics.sparse import Columns
 
 _pair, _single_pair = pair_products(), pair_products(single=True)
 #: Systems of fewer blocks gain nothing from float32; row sums beyond this, or below its inverse, may leave its range.
@@ -43,7 +44,7 @@ class Room(NamedTuple):
     product: Floats
     single: NDArray[np.float32]
     single_product: NDArray[np.float32]
-    columns: NDArray[np.int64]  #: a list of blocks, for the next products; see `list_moving`
+    columns: Ints  #: a list of blocks, for the next products; see `list_moving`
 
     @classmethod
     def of(cls, n: int) -> Room:
@@ -66,7 +67,7 @@ def are_of_one_kind(row_sums: Floats) -> bool:
 
 
 @inner
-def list_moving(x, u, moving):  # type: ignore[no-untyped-def]
+def list_moving(x: Floats, u: Floats, moving: Ints) -> int:
     """List the blocks with x_j or u_j not zero; returns how many there are."""
     m = 0
     for j in range(len(x)):
@@ -77,7 +78,7 @@ def list_moving(x, u, moving):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _one_pass(dense, x, y, moving, m):  # type: ignore[no-untyped-def]
+def _one_pass(dense: Floats, x: Floats, y: Floats, moving: Ints, m: int) -> None:
     """y = K x over the columns listed; eight columns share a pass over y."""
     n = len(x)
     for i in range(n):
@@ -101,7 +102,7 @@ def _one_pass(dense, x, y, moving, m):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _sparse_product(columns, x, y):  # type: ignore[no-untyped-def]
+def _sparse_product(columns: Columns, x: Floats, y: Floats) -> None:
     indptr, indices, data = columns.indptr, columns.indices, columns.data
     for i in range(len(x)):
         y[i] = 0.0
@@ -112,7 +113,7 @@ def _sparse_product(columns, x, y):  # type: ignore[no-untyped-def]
 
 
 @inner
-def one_product(columns, x, y, moving):  # type: ignore[no-untyped-def]
+def one_product(columns: Columns, x: Floats, y: Floats, moving: Ints) -> None:
     """y = K x; see `two_products`."""
     if len(columns.dense) == 0:
         _sparse_product(columns, x, y)
@@ -121,7 +122,7 @@ def one_product(columns, x, y, moving):  # type: ignore[no-untyped-def]
 
 
 @inner
-def two_products(columns, pairs, room, m, x, y):  # type: ignore[no-untyped-def]
+def two_products(columns: Columns, pairs: Pairs, room: Room, m: int, x: Floats, y: Floats) -> None:
     """y_k = K x_k of two vectors, shape (2, n), in one pass over K, whose cost is reading K and not the arithmetic.
 
     Of a dense K only the columns of the m blocks that `list_moving` has put into `room.columns` are read.
@@ -138,7 +139,7 @@ def two_products(columns, pairs, room, m, x, y):  # type: ignore[no-untyped-def]
 
 
 @inner
-def two_single_products(pairs, room, m, x, sizes, y):  # type: ignore[no-untyped-def]
+def two_single_products(pairs: Pairs, room: Room, m: int, x: Floats, sizes: Floats, y: Floats) -> None:
     """As `two_products`, in single precision, each vector scaled to its size; the error is that of `SINGLE_ERROR`."""
     single, product = room.single, room.single_product
     for k in range(2):

@@ -30,8 +30,10 @@ def _nodes() -> Floats:
 
 def _to_powers(nodes: Floats) -> Floats:
     """Values at nodes in [0, 1] to powers: column k holds l_k, multiplied out, where no two terms cancel."""
-    others = [np.delete(nodes, k) for k in range(len(nodes))]
-    return np.stack([polyfromroots(rest) / np.prod(x - rest) for x, rest in zip(nodes, others, strict=True)], axis=1)
+    other_nodes = [np.delete(nodes, k) for k in range(len(nodes))]
+    return np.stack(
+        [polyfromroots(rest) / np.prod(x - rest) for x, rest in zip(nodes, other_nodes, strict=True)], axis=1
+    )
 
 
 def powers(x: Floats, count: int) -> Floats:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import room
 
 #: The most bisections of the unit interval in the search for a root; two roots closer than that count as a touch
@@ -27,7 +28,7 @@ BINOMIALS = np.array([[float(math.comb(i, j)) for j in range(_MAX_DEGREE + 1)] f
 
 
 @inner
-def to_bernstein(coefficients, degree, bernstein):  # type: ignore[no-untyped-def]
+def to_bernstein(coefficients: Floats, degree: int, bernstein: Floats) -> None:
     """Power basis on [0, 1] to Bernstein basis: b_j = sum_{k<=j} C(j,k) / C(degree,k) a_k, by running sums.
 
     Each from one place further left than the one before. Two go over the coefficients together, which takes half of
@@ -49,7 +50,7 @@ def to_bernstein(coefficients, degree, bernstein):  # type: ignore[no-untyped-de
 
 
 @inner
-def horner(coefficients, degree, x):  # type: ignore[no-untyped-def]
+def horner(coefficients: Floats, degree: int, x: float) -> float:
     """Value of a polynomial."""
     value = coefficients[degree]
     for k in range(degree - 1, -1, -1):
@@ -58,7 +59,7 @@ def horner(coefficients, degree, x):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _sign_changes(bernstein, degree):  # type: ignore[no-untyped-def]
+def _sign_changes(bernstein: Floats, degree: int) -> int:
     changes = 0
     last = 0.0
     for j in range(degree + 1):
@@ -70,7 +71,7 @@ def _sign_changes(bernstein, degree):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _crossing(bernstein, degree):  # type: ignore[no-untyped-def]
+def _crossing(bernstein: Floats, degree: int) -> float:
     """Where the polygon of Bernstein coefficients, which change their sign once and not at an end, passes zero."""
     side = 1.0 if bernstein[0] > 0.0 else -1.0
     j = 0
@@ -81,7 +82,7 @@ def _crossing(bernstein, degree):  # type: ignore[no-untyped-def]
 
 
 @inner
-def refine(coefficients, degree, low, high, rises, x):  # type: ignore[no-untyped-def]
+def refine(coefficients: Floats, degree: int, low: float, high: float, rises: bool, x: float) -> float:
     """The one root in (low, high), to rounding: Newton's method from x, kept inside a shrinking bracket.
 
     The caller says whether the polynomial rises through it: at an end that is a root itself, its value does not tell.
@@ -117,14 +118,14 @@ def refine(coefficients, degree, low, high, rises, x):  # type: ignore[no-untype
 
 
 @inner
-def roots(coefficients, degree, found):  # type: ignore[no-untyped-def]
+def roots(coefficients: Floats, degree: int, places: Floats) -> int:
     """Roots in (0, 1] of a polynomial in the power basis with a_0 != 0, in rising order.
 
     By Descartes' rule in the Bernstein basis: an interval whose coefficients do not change sign holds no
     root, one change means exactly one root, more are bisected. So two roots close together are both found;
     where a polynomial only touches zero, rounding decides between two roots, one at the touch, and none.
 
-    Returns the number of roots, which are in `found`; at most as many are looked for as fit there.
+    Returns the number of roots, which are in `places`; at most as many are looked for as fit there.
     """
     stack = room(_ROWS, _COLUMNS)
     n_found = 0
@@ -159,16 +160,16 @@ def roots(coefficients, degree, found):  # type: ignore[no-untyped-def]
             left[_LOW], left[_WIDTH] = low, 0.5 * width
             top += 1
             continue
-        if n_found == 0 or root > found[n_found - 1]:
-            found[n_found] = root
+        if n_found == 0 or root > places[n_found - 1]:
+            places[n_found] = root
             n_found += 1
-            if n_found == len(found):
+            if n_found == len(places):
                 return n_found
     return n_found
 
 
 @inner
-def insert(place, marks, n_marks):  # type: ignore[no-untyped-def]
+def insert(place: float, marks: Floats, n_marks: int) -> int:
     """Insert a place among `n_marks` others in rising order; returns how many there are."""
     k = n_marks
     while k > 0 and marks[k - 1] > place:
@@ -179,14 +180,14 @@ def insert(place, marks, n_marks):  # type: ignore[no-untyped-def]
 
 
 @inner
-def insert_roots(poly, degree, marks, n_marks, found):  # type: ignore[no-untyped-def]
+def insert_roots(poly: Floats, degree: int, marks: Floats, n_marks: int, places: Floats) -> int:
     """Insert the roots of a polynomial in (0, 1] among `n_marks` places in rising order; returns how many there are.
 
-    A root at the start belongs to the step before, and is left out. `found` is work space.
+    A root at the start belongs to the step before, and is left out. `places` is work space.
     """
     skip = 0
     while skip < degree and poly[skip] == 0.0:
         skip += 1
-    for k in range(roots(poly[skip:], degree - skip, found)):
-        n_marks = insert(found[k], marks, n_marks)
+    for k in range(roots(poly[skip:], degree - skip, places)):
+        n_marks = insert(places[k], marks, n_marks)
     return n_marks

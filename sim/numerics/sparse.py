@@ -1,14 +1,36 @@
-"""Sparse matrices that users pass, without loading SciPy's for those who pass none."""
+"""Matrices by columns, and sparse ones that users pass, without loading SciPy's for those who pass none."""
 
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from stickslip.sim.numerics.arguments import floats
+import numpy as np
+from numpy.typing import NDArray
+
+from stickslip.sim.numerics.arguments import Floats, floats
 
 if TYPE_CHECKING:
     import scipy.sparse
+
+
+class Columns(NamedTuple):
+    """A matrix by columns as the exact engine takes it: transposed or, when this is empty, CSC."""
+
+    dense: Floats
+    indptr: NDArray[np.int32]
+    indices: NDArray[np.int32]
+    data: Floats
+
+    @classmethod
+    def of(cls, matrix: Any) -> Columns:
+        """Those of a matrix, shape (n, n), dense or sparse."""
+        if isinstance(matrix, np.ndarray):
+            none = np.empty(0, dtype=np.int32)
+            # a copy always: kernels are compiled anew for what is read-only
+            return cls(np.array(matrix.T, order="C"), none, none, np.empty(0))
+        indptr, indices = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
+        return cls(np.empty((0, 0)), indptr, indices, matrix.data.copy())
 
 
 def is_sparse(matrix: object) -> bool:

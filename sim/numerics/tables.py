@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from numpy.typing import NDArray
-
 from stickslip.sim.kernels.emit import ByName
 from stickslip.sim.kernels.emit import named as named
 
@@ -24,7 +22,6 @@ class Table(ByName):
     """
 
     n_rows: ClassVar[int]
-    __slots__ = ("array",)
 
     def __init_subclass__(cls, nodes: int) -> None:
         cls.places, cls.n_rows = {}, 0
@@ -33,9 +30,6 @@ class Table(ByName):
             cls.places[name] = first, _ = cls.n_rows, count
             cls.n_rows += max(count, 1)
             setattr(cls, name, _rows(slice(first, first + count) if count else first))
-
-    def __init__(self, array: NDArray[Any]) -> None:
-        self.array = array
 
 
 def _rows(rows: int | slice) -> property:

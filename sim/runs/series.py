@@ -212,8 +212,8 @@ def summaries(many: Sequence[EventSeries]) -> list[Summary]:
     leaves = EventSeries(np.empty(0), block, mode, initial_mode, 0.0, 0.0).previous_mode == 0
     of_event = which.repeat(lengths)
     n_entries, n_exits, at_start = (
-        np.bincount(of, minlength=len(many))
-        for of in (of_event[enters], of_event[leaves], which.repeat(sizes)[initial_mode == 0])
+        np.bincount(runs, minlength=len(many))
+        for runs in (of_event[enters], of_event[leaves], which.repeat(sizes)[initial_mode == 0])
     )
 
     # a row for each start too, at which the sum of the changes starts again
@@ -224,11 +224,11 @@ def summaries(many: Sequence[EventSeries]) -> list[Summary]:
     change[is_start], change[~is_start] = at_start, enters.astype(np.int8) - leaves
     change[np.flatnonzero(is_start)[1:]] -= (at_start + n_entries - n_exits)[:-1]
     n_stick = np.cumsum(change, dtype=np.int32)
-    kept = np.roll(is_start | _differs(t), -1)  # the last event of an instant holds
-    t, n_stick, of_row = t[kept], n_stick[kept], of_row[kept]
-    kept = _differs(n_stick) | _differs(of_row)
-    t, n_stick = t[kept], n_stick[kept]
-    ends = np.cumsum(np.bincount(of_row[kept])).tolist()
+    is_kept = np.roll(is_start | _differs(t), -1)  # the last event of an instant holds
+    t, n_stick, of_row = t[is_kept], n_stick[is_kept], of_row[is_kept]
+    is_kept = _differs(n_stick) | _differs(of_row)
+    t, n_stick = t[is_kept], n_stick[is_kept]
+    ends = np.cumsum(np.bincount(of_row[is_kept])).tolist()
     kinds = zip([0, *ends[:-1]], ends, n_entries.tolist(), n_exits.tolist(), lengths, strict=True)
     return [
         Summary(t[first:end], n_stick[first:end], {"n_entries": n_in, "n_exits": out, "n_crossings": n - n_in - out})
@@ -260,18 +260,22 @@ def without_returns(series: EventSeries, piece: NDArray[np.intp], s: Floats, sho
     """
     while True:
         order = series.by_block
-        block, mode, at, of = series.block[order], series.mode[order], s[order], piece[order]
-        undone = (block[1:] == block[:-1]) & (of[1:] == of[:-1]) & (at[1:] - at[:-1] <= shortest[order][1:])
+        block, mode, times, piece_of = series.block[order], series.mode[order], s[order], piece[order]
+        undone = (
+            (block[1:] == block[:-1])
+            & (piece_of[1:] == piece_of[:-1])
+            & (times[1:] - times[:-1] <= shortest[order][1:])
+        )
         if not undone.any():
             break
         undone &= mode[1:] == series.previous_mode[order][:-1]
         if not undone.any():
             break
-        kept = np.ones(len(s), dtype=bool)
+        is_kept = np.ones(len(s), dtype=bool)
         for first in np.flatnonzero(undone):
-            if kept[first]:  # not itself the second of a pair
-                kept[first : first + 2] = False
-        kept = np.isin(np.arange(len(s)), order[kept])
-        series = replace(series, t=series.t[kept], block=series.block[kept], mode=series.mode[kept])
-        piece, s, shortest = piece[kept], s[kept], shortest[kept]
+            if is_kept[first]:  # not itself the second of a pair
+                is_kept[first : first + 2] = False
+        is_kept = np.isin(np.arange(len(s)), order[is_kept])
+        series = replace(series, t=series.t[is_kept], block=series.block[is_kept], mode=series.mode[is_kept])
+        piece, s, shortest = piece[is_kept], s[is_kept], shortest[is_kept]
     return series

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.numerics.arguments import Floats, apart, flag, floats, number, per_block
 from stickslip.sim.numerics.session import numpy_arithmetic
-from stickslip.sim.numerics.sparse import by_columns, is_sparse
+from stickslip.sim.numerics.sparse import Columns, by_columns, is_sparse
 from stickslip.sim.runs import show
 from stickslip.sim.runs.blocks import named, numbered
 from stickslip.sim.systems import graphs
@@ -42,25 +42,6 @@ NORMAL_FORCE = (
 _ROUNDING = 1e-15
 #: The most blocks of which the norm of C is computed, some hundredth of a second.
 _MOST_OF_NORM = 200
-
-
-class Columns(NamedTuple):
-    """A matrix by columns as the exact engine takes it: transposed or, when this is empty, CSC."""
-
-    dense: Floats
-    indptr: NDArray[np.int32]
-    indices: NDArray[np.int32]
-    data: Floats
-
-    @classmethod
-    def of(cls, matrix: Any) -> Columns:
-        """Those of a matrix, shape (n, n), dense or sparse."""
-        if isinstance(matrix, np.ndarray):
-            none = np.empty(0, dtype=np.int32)
-            # a copy always: kernels are compiled anew for what is read-only
-            return cls(np.array(matrix.T, order="C"), none, none, np.empty(0))
-        indptr, indices = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
-        return cls(np.empty((0, 0)), indptr, indices, matrix.data.copy())
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -192,7 +192,7 @@ def test_a_run_that_stalls_is_begun_anew_and_counted(monkeypatch, rng):
         stack.state.counters[0, loop.N_PRODUCTS] = 1000
         slices[0, 0] = loop.STALLED
 
-    monkeypatch.setattr(waves._Waves, "kernel", stalls)
+    monkeypatch.setattr(waves._Waves, "kernel", staticmethod(stalls))
     run = simulate(system, z, w, 1.0, tol=1e-5)
     assert (run.stats.method, run.stats.n_restarts) == (SERIES, 1)
     assert run.stats.n_products == series.stats.n_products + 1000
@@ -204,7 +204,7 @@ def test_what_ends_a_run_otherwise_is_said(monkeypatch, rng):
         stack.state.z[:] = np.nan
         slices[0, 0] = loop.DIVERGED
 
-    monkeypatch.setattr(waves._Waves, "kernel", leaves_float64)
+    monkeypatch.setattr(waves._Waves, "kernel", staticmethod(leaves_float64))
     system, z, w = large(rng, 66)
     with pytest.raises(IntegrationError, match="the state is not finite"):
         simulate(system, z, w, 1.0, tol=1e-5)

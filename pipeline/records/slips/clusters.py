@@ -58,6 +58,6 @@ class ClustersRecord(Record):
         catalogue = episodes(result.run, result.system.belt_speed)
         times = np.unique(np.concatenate([catalogue.start, catalogue.end]))
         z = result.again(result.member, tuple(times)).z if len(times) else np.empty((0, result.system.n))
-        before, after = (z[np.searchsorted(times, at)] for at in (catalogue.start, catalogue.end))
-        parts = clusters(result.run, result.system, before, after)._asdict()
-        return {name if name.startswith("profile") else f"cluster_{name}": values for name, values in parts.items()}
+        before, after = (z[np.searchsorted(times, instants)] for instants in (catalogue.start, catalogue.end))
+        columns = clusters(result.run, result.system, before, after)._asdict()
+        return {name if name.startswith("profile") else f"cluster_{name}": values for name, values in columns.items()}

@@ -9,10 +9,12 @@ methods that share no code, on random systems (`tests/independent.py`, `python -
 from __future__ import annotations
 
 import math
+from typing import Generic, NamedTuple
 
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arguments import Floats
 
 # ------------------------------------------------------------------------------------------------------ the series
 
@@ -115,26 +117,38 @@ TOLD = 4.0
 EXPOSURE, CUTS, CARRIED = range(loop.N_CLOCKS, loop.N_CLOCKS + 3)
 
 
+class Goal(NamedTuple, Generic[loop.Number]):
+    """What a piece is run to: its end, the tolerance, and bounds."""
+
+    t_end: loop.Number  #: from the start of the piece
+    is_last: bool
+    instant: float  #: none: -1
+    tol: loop.Number
+    rate: loop.Number  #: bounds |eigenvalues|
+    decay: loop.Number  #: the rate at which errors fade, at least
+    bound: loop.Number  #: of |z_i| and |w_i|; beyond it Python decides whether the run diverges
+
+
 @inner
-def next_window(clock, remaining):  # type: ignore[no-untyped-def]
+def next_window(clock: Floats, remaining: float) -> float:
     """Length of the next window."""
     return min(remaining, REACH * clock[EXPOSURE] / clock[CUTS])
 
 
 @inner
-def is_worth_using(clock, left):  # type: ignore[no-untyped-def]
+def is_worth_using(clock: Floats, left: float) -> bool:
     """Whether the rest of a window is used."""
     return left > WORTH * clock[EXPOSURE] / clock[CUTS]
 
 
 @inner
-def pays_to_pass_on(clock):  # type: ignore[no-untyped-def]
+def pays_to_pass_on(clock: Floats) -> bool:
     """Whether windows have so few events that a product at each, for a longer window, costs less than new ones."""
     return clock[CARRIED] <= FEW_CARRIED * clock[CUTS]
 
 
 @inner
-def note_window(clock, is_cut):  # type: ignore[no-untyped-def]
+def note_window(clock: Floats, is_cut: bool) -> None:
     """Take a window, whose time is in the clock, into the mean length."""
     clock[EXPOSURE] *= DECAY
     clock[CARRIED] *= DECAY

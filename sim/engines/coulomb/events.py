@@ -6,16 +6,22 @@ root.
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 from stickslip.sim.engines.coulomb.sticking import UNDECIDED_BOTH, push
 from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.roots import roots
 
+#: Of a block: its mode, zeros and side, as `Expansion` has them; v, R v, static friction and the closed side.
+Face: TypeAlias = tuple[int, int, int]
+Bounds: TypeAlias = tuple[float, float, float, int]
 #: The largest power of a time: a coefficient that is zero is also zero at any distance.
 _MOST = 1e300
 
 
 @inner
-def enclose(series, slips, order, h, reach, n):  # type: ignore[no-untyped-def]
+def enclose(series: Floats, slips: Floats, order: int, h: float, reach: Floats, n: int) -> None:
     """Bounds of how far the event functions of n blocks deviate in h from their tangents, from their coefficients.
 
     F has two orders less than z: it is needed to the accuracy of w', not of w.
@@ -31,11 +37,10 @@ def enclose(series, slips, order, h, reach, n):  # type: ignore[no-untyped-def]
 
 
 @inner
-def excluded(face, first, bounds, h, reach):  # type: ignore[no-untyped-def]
+def excluded(face: Face, first: tuple[float, float, float], bounds: Bounds, h: float, reach: float) -> bool:
     """The fast exclusion check: whether a block's event functions have no root within h.
 
-    `face` has its mode, zeros and side, `first` the first three coefficients of its series (see `Expansion`),
-    `bounds` v, R v, static friction and the closed side; the functions deviate by at most `reach` from their
+    `first` has the first three coefficients of its series; the functions deviate by at most `reach` from their
     tangents.
     """
     mode, zeros, side = face
@@ -49,32 +54,33 @@ def excluded(face, first, bounds, h, reach):  # type: ignore[no-untyped-def]
 
 
 @inner
-def root(face, series, at, bounds, horizon, room):  # type: ignore[no-untyped-def]
+def root(
+    face: Face, series: Floats, column: int, bounds: Bounds, horizon: tuple[int, float], room: tuple[Floats, Floats]
+) -> tuple[float, bool]:
     """Time to the first root of a block's event functions within h, and whether there is one; see `excluded` first.
 
-    That says what `face` and `bounds` are. Its series is the column `at`; `horizon` has the order and h; `room` is
-    workspace.
+    Its series is this column; `horizon` has the order and h; `room` is workspace.
     """
     mode, zeros, side = face
     v, drag, static, closed = bounds
     order, h = horizon
-    poly, found = room
+    poly, places = room
     is_found = False
     if mode != 0:
         degree = order - 1 - zeros
         power = 1.0
         for k in range(degree + 1):
             j = k + zeros
-            c = (j + 1) * series[j + 1, at]
+            c = (j + 1) * series[j + 1, column]
             if j == 0:
                 c -= v
             poly[k] = mode * c * power
             power = min(power * h, _MOST)
-        if roots(poly, degree, found) > 0:
-            h *= found[0]
+        if roots(poly, degree, places) > 0:
+            h *= places[0]
             is_found = True
         return h, is_found
-    force = drag + series[0, at]
+    force = drag + series[0, column]
     first = h
     for sigma in (-1, 1):  # both within h, so that a mirror image has the same bytes
         if sigma == closed:
@@ -86,12 +92,12 @@ def root(face, series, at, bounds, horizon, room):  # type: ignore[no-untyped-de
         if skip == 0:
             poly[0] = static + sigma * force
         else:
-            poly[0] = sigma * series[skip, at]
+            poly[0] = sigma * series[skip, column]
         power = h
         for k in range(1, degree + 1):
-            poly[k] = sigma * series[k + skip, at] * power
+            poly[k] = sigma * series[k + skip, column] * power
             power = min(power * h, _MOST)
-        if poly[0] != 0.0 and roots(poly, degree, found) > 0:
-            first = min(first, h * found[0])
+        if poly[0] != 0.0 and roots(poly, degree, places) > 0:
+            first = min(first, h * places[0])
             is_found = True
     return first, is_found

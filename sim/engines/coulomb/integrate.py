@@ -13,18 +13,20 @@ from numpy.typing import NDArray
 from stickslip.sim.engines import stacks
 from stickslip.sim.engines.certificates import Collapse
 from stickslip.sim.engines.contract import Task
-from stickslip.sim.engines.coulomb import control, waves
-from stickslip.sim.engines.coulomb.kernel import Work, advance
+from stickslip.sim.engines.coulomb import control, sparse, step, waves
+from stickslip.sim.engines.coulomb.control import Goal
+from stickslip.sim.engines.coulomb.expansion import Expansion
 from stickslip.sim.engines.coulomb.model import Model
 from stickslip.sim.engines.coulomb.overdamped import Slow, has_heavy
 from stickslip.sim.engines.coulomb.sparse import Local
-from stickslip.sim.engines.coulomb.taylor import Expansion
-from stickslip.sim.engines.coulomb.windows import Goal, Search
+from stickslip.sim.engines.coulomb.windows import Search, Work
 from stickslip.sim.engines.forcing import Drive
-from stickslip.sim.engines.loop import Begun, Events, State
-from stickslip.sim.engines.stacks import Several
+from stickslip.sim.engines.loop import Events, FirstSlice, State
+from stickslip.sim.engines.precheck import Precheck
+from stickslip.sim.engines.stacks import Several, Stack
+from stickslip.sim.kernels.compile import kernel
 from stickslip.sim.numerics import products
-from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.arguments import Floats, Ints
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.once import once_a_system
 from stickslip.sim.systems.system import System
@@ -55,8 +57,8 @@ def runs(tasks: Sequence[Task], engine: Coulomb) -> list[Callable[[], Run]]:
         Of a run: if events accumulate at one instant.
     """
 
-    def together(some: list[Task]) -> _Runs | None:
-        return _Runs(some, engine) if _may_begin_together(some, engine) else None
+    def together(group: list[Task]) -> _Runs | None:
+        return _Runs(group, engine) if _may_begin_together(group, engine) else None
 
     return stacks.runs(tasks, together, partial(alone, engine))
 
@@ -106,10 +108,26 @@ def _followed(system: System, tol: float) -> float:
     return max(tol * system.fastest_belt, _FOLLOWED)
 
 
+@kernel
+def advance(
+    stack: Stack[Model, Work[None], Goal[Floats], Ints], events: Events, precheck: Precheck, first: int, slices: Ints
+) -> None:
+    """See `frame`."""
+    step.take(stack, events, precheck, first, slices)
+
+
+@kernel
+def advance_locally(
+    stack: Stack[Model, Work[Local], Goal[Floats], Ints], events: Events, precheck: Precheck, first: int, slices: Ints
+) -> None:
+    """See `frame`."""
+    sparse.take(stack, events, precheck, first, slices)
+
+
 class _Runs(Several):
     """By series; of one task alone if blocks are heavily damped, or K is sparse."""
 
-    kernel, tells_touches, method = advance, True, "Taylor series"
+    tells_touches, method = True, "Taylor series"
     stalled = (
         f"more than {control.STALL} instants that rounding cannot tell apart; this start is degenerate: perturb it,"
         " or use engine='sigmoid'"
@@ -120,10 +138,10 @@ class _Runs(Several):
         self.tols = np.array([engine.tol_of_series(task.system, task.length) for task in tasks])
         systems = [task.system for task in tasks]
         first = systems[0]  # if it is not plain, it is the only one
-        self.drives = [Drive(one.system, one.t_start, one.t_end, control.ORDER_MAX + 1) for one in tasks]
+        self.drives = [Drive(task.system, task.t_start, task.t_end, control.ORDER_MAX + 1) for task in tasks]
         # arrays from here on are by task and block
         self.models = Model.of(systems, self.drives)
-        self.rates = np.array([one.fastest_rate for one in systems])
+        self.rates = np.array([system.fastest_rate for system in systems])
         u = np.array([task.w0 for task in tasks]) - self.models.belt_speed
         mode, weakening, n_shapes = np.sign(u).astype(np.int8), first.weakening, 0
         if weakening is not None:
@@ -140,7 +158,9 @@ class _Runs(Several):
         ]
         self.states, self.searches = State.at_start(tasks, mode, exposures), Search.of(mode)
         self.initial_modes, self.events_a_step = self.searches.initial_mode[:, np.newaxis], first.n
-        self.decays = np.array([0.5 * max(0.0, one.least_damping) if weakening is None else 0.0 for one in systems])
+        self.decays = np.array(
+            [0.5 * max(0.0, system.least_damping) if weakening is None else 0.0 for system in systems]
+        )
         self.bounds, self.lengths = np.empty(len(tasks)), np.array([drive.length for drive in self.drives])
         self.collapse = [
             Collapse(task.system, _followed(task.system, tol), cost=control.certificate(task))
@@ -151,12 +171,12 @@ class _Runs(Several):
         self.is_of_one_type = first.is_plain and self.slow is None
         is_dense = isinstance(first.stiffness, np.ndarray)
         is_whole = is_dense or weakening is not None or self.drives[0].is_forced or self.slow is not None
-        local = None if is_whole else Local.of(first)
+        self.kernel, local = (advance, None) if is_whole else (advance_locally, Local.of(first))
         self.work = Work(Expansion.of(mode, n_shapes), self.searches, self.slow, local)
         if tasks[0].modes is not None:
             self.work.expansion.leaves[:] = np.where(mode == 0, tasks[0].modes, 0)
 
-    def goal(self, drive: Drive) -> Goal:
+    def goal(self, drive: Drive) -> Goal[Floats]:
         return Goal(self.lengths, drive.is_last, -1.0, self.tols, self.rates, self.decays, self.bounds)
 
     def alone(self, k: int) -> Run:
@@ -168,10 +188,10 @@ class _Runs(Several):
             _require_modes(task, task.modes, self.searches.initial_mode[k], float(self.tols[k]))
         return ended
 
-    def go_on(self, k: int, begun: Begun | None = None) -> Run:
+    def go_on(self, k: int, first_slice: FirstSlice | None = None) -> Run:
         # `expand` itself limits a step to where the series of a force holds
         _warn_of_short_steps(self.tasks[k], float(self.rates[k]) if self.slow is None else self.slow.rate)
-        return super().go_on(k, begun)
+        return super().go_on(k, first_slice)
 
 
 def _beyond_float64(task: Task, by_series: bool) -> str:
@@ -197,9 +217,9 @@ def _warn_of_short_steps(task: Task, rate: float) -> None:
         )
 
 
-def _require_modes(task: Task, asked: NDArray[np.int8], found: NDArray[np.int8], tol: float) -> None:
+def _require_modes(task: Task, modes: NDArray[np.int8], initial_modes: NDArray[np.int8], tol: float) -> None:
     """ValueError if a block cannot start in the mode that was asked for, within the tolerance."""
-    if (asked == found).all():
+    if (modes == initial_modes).all():
         return
     s, z, t = task.system, task.z0, task.t_start
     v, force = s.belt_speed_at(t), s.holding_force(z, task.w0, t)
@@ -209,13 +229,13 @@ def _require_modes(task: Task, asked: NDArray[np.int8], found: NDArray[np.int8],
     allowed = _AT_EVENTS * tol * size
     is_at_edge = (np.abs(task.w0 - v) <= tol * s.fastest_belt) & (np.abs(np.abs(force) - s.static) <= allowed)
     # but friction drives no block, and none slips to a side that is closed
-    is_at_edge &= (asked * s.closed <= 0) & ((asked * force <= 0.0) | (s.static <= allowed))
-    if ((asked != found) & ~is_at_edge).any():
-        block = int(np.argmax((asked != found) & ~is_at_edge))
+    is_at_edge &= (modes * s.closed <= 0) & ((modes * force <= 0.0) | (s.static <= allowed))
+    if ((modes != initial_modes) & ~is_at_edge).any():
+        block = int(np.argmax((modes != initial_modes) & ~is_at_edge))
         raise ValueError(
-            f"modes: expected what the state allows, got {asked[block]} for block {block}, which begins with"
-            f" {found[block]}: off the belt's speed a block slips to its side, on it one sticks if |F| is at most"
-            " its static friction, and slips, against F, if it is above its kinetic"
+            f"modes: expected what the state allows, got {modes[block]} for block {block}, which begins with"
+            f" {initial_modes[block]}: off the belt's speed a block slips to its side, on it one sticks if |F| is at"
+            " most its static friction, and slips, against F, if it is above its kinetic"
         )
 
 

@@ -15,8 +15,9 @@ from stickslip.sim.engines.polynomials import Polynomials
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.products import Pairs
+from stickslip.sim.numerics.sparse import Columns
 from stickslip.sim.systems.once import once_a_system
-from stickslip.sim.systems.system import Columns, System
+from stickslip.sim.systems.system import System
 from stickslip.sim.systems.weakening import LAW_OF
 
 #: The laws whose series all kernels can extend by code, as these number them.
@@ -108,7 +109,7 @@ class Model(NamedTuple):
         rows = [(s.row_sums, s.damping, s.slip_friction[0], s.static, s.belt_speed_at(0.0)) for s in systems]
         row_sums, damping, near, static, belt = np.array(rows).swapaxes(0, 1).copy()
         if isinstance(first.stiffness, np.ndarray):
-            dense = np.array([one.stiffness for one in systems])
+            dense = np.array([system.stiffness for system in systems])
             none = np.empty((m, 0), np.int32)
             columns = Columns(np.array(dense.swapaxes(1, 2), order="C"), none, none, np.empty((m, 0)))
         else:
@@ -120,7 +121,7 @@ class Model(NamedTuple):
             damping,
             near,
             static,
-            np.array([one.closed for one in systems]),
+            np.array([system.closed for system in systems]),
             loop.stack([SpeedWeakening.of(first)]),
             belt,
             Forcing.none(m),
@@ -134,7 +135,7 @@ def _of_alone(system: System) -> Model:
 
 
 @inner
-def coupling(cross, i):  # type: ignore[no-untyped-def]
+def coupling(cross: Cross | None, i: int) -> float:
     """sum_j |N_ij| of block i."""
     if cross is None:
         return 0.0
@@ -142,11 +143,11 @@ def coupling(cross, i):  # type: ignore[no-untyped-def]
 
 
 @inner
-def fastest_belt(model):  # type: ignore[no-untyped-def]
+def fastest_belt(model: Model) -> float:
     """The largest |v| now, as of `System.fastest_belt`."""
-    v, static, of_all, found = model.belt_speed, model.static, 0.0, -1.0
+    v, static, of_all, rubbing = model.belt_speed, model.static, 0.0, -1.0
     for i in range(len(v)):
         of_all = max(of_all, abs(v[i]))
         if static[i] > 0.0:
-            found = max(found, abs(v[i]))
-    return found if found >= 0.0 else of_all
+            rubbing = max(rubbing, abs(v[i]))
+    return rubbing if rubbing >= 0.0 else of_all

@@ -21,10 +21,13 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
-from stickslip.sim.engines.coulomb.model import fastest_belt
+from stickslip.sim.engines.coulomb.control import Goal
+from stickslip.sim.engines.coulomb.expansion import Expansion
+from stickslip.sim.engines.coulomb.model import Model, fastest_belt
 from stickslip.sim.engines.coulomb.sticking import IDENTICALLY_ZERO, known, settle
 from stickslip.sim.engines.coulomb.taylor import hold
 from stickslip.sim.engines.forcing import begin, may_change, take_off
+from stickslip.sim.engines.loop import State
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
@@ -83,9 +86,9 @@ def _pace_of(slow: Slow) -> tuple[float, float]:
         rate = slow.fastest
         for i in range(len(damping)):
             if slow.moves[i] or slow.decays[i]:
-                own = math.sqrt(pull[i])
-                is_heavy = damping[i] >= least and damping[i] > control.HEAVY * own and not slow.decays[i]
-                rate = max(rate, pull[i] / damping[i] if is_heavy else abs(damping[i]) + own)
+                frequency = math.sqrt(pull[i])
+                is_heavy = damping[i] >= least and damping[i] > control.HEAVY * frequency and not slow.decays[i]
+                rate = max(rate, pull[i] / damping[i] if is_heavy else abs(damping[i]) + frequency)
         if control.HEAVY * rate <= least:
             return least, rate
         least = control.HEAVY * rate
@@ -95,7 +98,9 @@ _pace = inner(_pace_of)
 
 
 @inner
-def _iterate(model, expansion, slow, least, t, h, rate, allowed):  # type: ignore[no-untyped-def]
+def _iterate(
+    model: Model, expansion: Expansion, slow: Slow, least: float, t: float, h: float, rate: float, allowed: float
+) -> tuple[int, float]:
     """Iterate the series of all blocks, with those of heavily damped ones from the iteration before.
 
     Returns the order at which they are truncated to the error allowed in w, 0 if there is none, and the change of w
@@ -127,7 +132,7 @@ def _iterate(model, expansion, slow, least, t, h, rate, allowed):  # type: ignor
 
 
 @inner
-def _stays(model, expansion, moves, order):  # type: ignore[no-untyped-def]
+def _stays(model: Model, expansion: Expansion, moves: NDArray[np.bool_], order: int) -> bool:
     """Whether, by their series, blocks at rest stay at rest, and blocks with |F| = m keep it."""
     series, forces, zeros = expansion.series, expansion.forces, expansion.zeros
     for k in range(1, order - 1):
@@ -142,7 +147,7 @@ def _stays(model, expansion, moves, order):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _passed(series, mode, v):  # type: ignore[no-untyped-def]
+def _passed(series: Floats, mode: NDArray[np.int8], v: Floats) -> bool:
     """Whether the series of a block begins beyond the belt's speed, where no root would be found."""
     is_past = False
     for i in range(len(mode)):
@@ -151,7 +156,15 @@ def _passed(series, mode, v):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _settled(slow, model, expansion, goal, state, target, pace):  # type: ignore[no-untyped-def]
+def _settled(
+    slow: Slow,
+    model: Model,
+    expansion: Expansion,
+    goal: Goal[float],
+    state: State,
+    target: float,
+    pace: tuple[float, float],
+) -> tuple[int, float, float, int]:
     """As `follow`, for a given pace; order 0 if the series do not converge, -1 if transients were found."""
     series, mode, moves, v = expansion.series, expansion.mode, slow.moves, model.belt_speed
     z, w, t, tol, (least, rate) = state.z, state.w, state.clock[loop.TIME], goal.tol, pace
@@ -188,7 +201,9 @@ def _settled(slow, model, expansion, goal, state, target, pace):  # type: ignore
 
 
 @inner
-def follow(slow, model, expansion, goal, state, target):  # type: ignore[no-untyped-def]
+def follow(
+    slow: Slow | None, model: Model, expansion: Expansion, goal: Goal[float], state: State, target: float
+) -> tuple[int, float, float, int]:
     """As `expand`, if no heavily damped block that slips has a transient or leaves the belt; else of order 0."""
     if slow is None:
         return 0, 0.0, 0.0, 0

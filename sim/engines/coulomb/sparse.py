@@ -17,15 +17,21 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
-from stickslip.sim.engines.coulomb.events import enclose, excluded, root
+from stickslip.sim.engines.coulomb.control import Goal
+from stickslip.sim.engines.coulomb.events import Face, enclose, excluded, root
+from stickslip.sim.engines.coulomb.expansion import Expansion, Window
+from stickslip.sim.engines.coulomb.model import Cross, Model
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
-from stickslip.sim.engines.coulomb.taylor import UNDECIDED, Window, curvature, decide, error_after, expand, pull_of
-from stickslip.sim.engines.coulomb.windows import evaluate, instant, note, record, sample, stalls
+from stickslip.sim.engines.coulomb.taylor import UNDECIDED, curvature, decide, error_after, expand, pull_of
+from stickslip.sim.engines.coulomb.windows import Search, Work, evaluate, instant, note, record, sample, stalls
 from stickslip.sim.engines.frame import Way, frame
+from stickslip.sim.engines.loop import Events, State
+from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, largest
 from stickslip.sim.numerics.horner import shift_rows
+from stickslip.sim.numerics.sparse import Columns
 from stickslip.sim.systems.system import System
 
 _NEVER = math.inf
@@ -74,8 +80,15 @@ class Local(NamedTuple):
         )
 
 
+class Opened(NamedTuple):
+    """A window, and how long it was to be."""
+
+    series: Window
+    target: float
+
+
 @inner
-def _schedule(due, i, time):  # type: ignore[no-untyped-def]
+def _schedule(due: Floats, i: int, time: float) -> None:
     """Set the time of block i's next event."""
     k = len(due) // 2 + i
     due[k] = time
@@ -85,7 +98,7 @@ def _schedule(due, i, time):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _winner(due):  # type: ignore[no-untyped-def]
+def _winner(due: Floats) -> int:
     """The block with the first event."""
     size = len(due) // 2
     k = 1
@@ -95,18 +108,27 @@ def _winner(due):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _next_event(model, search, i, face, series, column, reach, horizon):  # type: ignore[no-untyped-def]
+def _next_event(
+    model: Model,
+    search: Search,
+    i: int,
+    face: Face,
+    series: Floats,
+    column: int,
+    reach: float,
+    horizon: tuple[int, float],
+) -> float:
     """The time to the next event of block i; its series, of which `reach` is known, is that column."""
     first, v = (series[0, column], series[1, column], series[2, column]), model.belt_speed[i]
     bounds = v, model.damping[i] * v, model.static[i], model.closed[i]
     if excluded(face, first, bounds, horizon[1], reach):
         return _NEVER
-    time, is_found = root(face, series, column, bounds, horizon, (search.poly, search.found))
+    time, is_found = root(face, series, column, bounds, horizon, (search.poly, search.places))
     return time if is_found else _NEVER
 
 
 @inner
-def _schedule_all(model, expansion, search, due, order, h):  # type: ignore[no-untyped-def]
+def _schedule_all(model: Model, expansion: Expansion, search: Search, due: Floats, order: int, h: float) -> None:
     """Find every block's next event within h; all series are about the start of a window."""
     series, mode, reach, n, size = expansion.series, expansion.mode, search.reach, len(expansion.mode), len(due) // 2
     zeros, side = expansion.zeros, expansion.side
@@ -119,22 +141,22 @@ def _schedule_all(model, expansion, search, due, order, h):  # type: ignore[no-u
 
 
 @inner
-def _bring(model, expansion, local, order, s, first, last):  # type: ignore[no-untyped-def]
+def _bring(model: Model, expansion: Expansion, local: Local, order: int, s: float, first: int, last: int) -> None:
     """Shift the series of the members in these places to an instant of the window."""
     series, step, members, origin = local.series, local.step, local.members, local.origin
-    whole, damping, slips, mode = expansion.series, model.damping, expansion.slips, expansion.mode
+    of_all, damping, slips, mode = expansion.series, model.damping, expansion.slips, expansion.mode
     of_members, slips_there, mode_there = local.damping, local.slips, local.mode
     for a in range(first, last):
         i = members[a]
         step[a] = s - origin[i]
         mode_there[a], of_members[a], slips_there[a] = mode[i], damping[i], slips[i]
         for k in range(order + 1):
-            series[k, a] = whole[k, i]
+            series[k, a] = of_all[k, i]
     shift_rows(series, first, last, order, step)
 
 
 @inner
-def _list_tied(columns, j, local, count):  # type: ignore[no-untyped-def]
+def _list_tied(columns: Columns, j: int, local: Local, count: int) -> tuple[int, bool]:
     """Add the blocks that a matrix ties to block j to the members; their number, and whether there was room."""
     indptr, indices, place, members = columns.indptr, columns.indices, local.place, local.members
     for p in range(indptr[j], indptr[j + 1]):
@@ -149,14 +171,16 @@ def _list_tied(columns, j, local, count):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _list_dragged(cross, j, local, count):  # type: ignore[no-untyped-def]
+def _list_dragged(cross: Cross | None, j: int, local: Local, count: int) -> tuple[int, bool]:
     if cross is None:
         return count, True
     return _list_tied(cross.columns, j, local, count)
 
 
 @inner
-def _gather(model, expansion, local, window, jump, left):  # type: ignore[no-untyped-def]
+def _gather(
+    model: Model, expansion: Expansion, local: Local, window: Window, jump: float, left: float
+) -> tuple[int, float]:
     """List the blocks to which an event is carried over, behind its own; shorten the window where they are too many.
 
     `jump` bounds the change of its block's w', by the event, in the rest of the window. Returns the number of ties to
@@ -193,7 +217,7 @@ def _gather(model, expansion, local, window, jump, left):  # type: ignore[no-unt
 
 
 @inner
-def _drag(cross, local, k, count):  # type: ignore[no-untyped-def]
+def _drag(cross: Cross | None, local: Local, k: int, count: int) -> None:
     """Add what the changes of w make of N w at order k to the changes of F."""
     if cross is None or k == 0:
         return
@@ -207,7 +231,7 @@ def _drag(cross, local, k, count):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _pass_on(model, local, order, start, count, pull, was_stuck):  # type: ignore[no-untyped-def]
+def _pass_on(model: Model, local: Local, order: int, start: float, count: int, pull: Floats, was_stuck: bool) -> None:
     """The series of the members from the event on; `start` is c_2 of its own block, whose F - R v was `pull`.
 
     The changes of the others obey their own equations, without constant terms.
@@ -240,7 +264,7 @@ def _pass_on(model, local, order, start, count, pull, was_stuck):  # type: ignor
 
 
 @inner
-def _is_alone(model, local, h, count, z_max):  # type: ignore[no-untyped-def]
+def _is_alone(model: Model, local: Local, h: float, count: int, z_max: float) -> bool:
     """Whether no other member is at the edge of its mode."""
     series, mode, members, reach, v = local.series, local.mode, local.members, local.reach, model.belt_speed
     damping, static, row_sums, closed = local.damping, model.static, model.row_sums, model.closed
@@ -259,24 +283,42 @@ def _is_alone(model, local, h, count, z_max):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _put_back(model, expansion, search, local, order, span, count, n_zeros):  # type: ignore[no-untyped-def]
+def _put_back(
+    model: Model,
+    expansion: Expansion,
+    search: Search,
+    local: Local,
+    order: int,
+    span: tuple[float, float],
+    count: int,
+    n_zeros: int,
+) -> None:
     """Copy the series of the members back, and find the next event of each in a span from s, of length h."""
     s, h = span
     series, mode, members, reach = local.series, local.mode, local.members, local.reach
-    whole, held, origin, due, v = expansion.series, expansion.held, local.origin, local.due, model.belt_speed
+    of_all, stuck_z, origin, due, v = expansion.series, expansion.stuck_z, local.origin, local.due, model.belt_speed
     for a in range(count):
         i = members[a]
         zeros = n_zeros if a == 0 and mode[a] != 0 else 0
         for k in range(order + 1):
-            whole[k, i] = series[k, a]
-        held[i] += v[i] * (s - origin[i])
+            of_all[k, i] = series[k, a]
+        stuck_z[i] += v[i] * (s - origin[i])
         origin[i] = s
         time = _next_event(model, search, i, (mode[a], zeros, 0), series, a, reach[a], (order, h))
         _schedule(due, i, s + time)
 
 
 @inner
-def _pass_on_from(model, goal, expansion, search, local, window, block, span):  # type: ignore[no-untyped-def]
+def _pass_on_from(
+    model: Model,
+    goal: Goal[float],
+    expansion: Expansion,
+    search: Search,
+    local: Local,
+    window: Window,
+    block: int,
+    span: tuple[float, float],
+) -> float:
     """Carry the series over an event of one block at the start of a span, if no other event is near it then.
 
     Returns the end of the window, at most that of the span; less than its start if a new expansion is to decide (then
@@ -306,7 +348,7 @@ def _pass_on_from(model, goal, expansion, search, local, window, block, span):  
     for k in range(ties + 1, len(local.ends)):
         local.ends[k] = count
     _bring(model, expansion, local, order, s, 1, count)
-    z = expansion.held[block] + v * (s - local.origin[block]) if was_stuck else series[0, 0]
+    z = expansion.stuck_z[block] + v * (s - local.origin[block]) if was_stuck else series[0, 0]
     _pass_on(model, local, order, start, count, pull, was_stuck)
     series[0, 0], series[1, 0] = z, v
     for k in (order, order - 1):  # two, since one can vanish, by parity as in `expand`
@@ -327,52 +369,62 @@ def _pass_on_from(model, goal, expansion, search, local, window, block, span):  
     expansion.slips[block] = local.slips[0]
     n_zeros = 2 if was_stuck and model.static[block] == model.friction[block] else 1
     _put_back(model, expansion, search, local, order, (s, left), count, n_zeros)
-    expansion.held[block] = z
+    expansion.stuck_z[block] = z
     return s + left
 
 
 @inner
-def _close(model, work, state, window, s, block):  # type: ignore[no-untyped-def]
+def _close(model: Model, work: Work[Local], state: State, window: Window, s: float, block: int) -> None:
     """The state at the end of a window, and which blocks are to be decided there."""
-    expansion, near, v, order = work.expansion, work.search.near, model.belt_speed, window.order
+    expansion, noise, v, order = work.expansion, work.search.near, model.belt_speed, window.order
     z, w, n, power = state.z, state.w, len(state.z), window.span
     series, mode, touching = expansion.series, expansion.mode, expansion.touching
     for i in range(n):
-        near[i] = abs(series[1, i] - v[i])
+        noise[i] = abs(series[1, i] - v[i])
     for k in range(2, order + 1):
         for i in range(n):
-            near[i] += power * abs(k * series[k, i])
+            noise[i] += power * abs(k * series[k, i])
         power *= window.span
     evaluate(expansion, v, work.local.origin, order, s, z, w)
     for i in range(n):
-        touching[i] = mode[i] != 0 and mode[i] * (w[i] - v[i]) <= ROUNDING * near[i]
+        touching[i] = mode[i] != 0 and mode[i] * (w[i] - v[i]) <= ROUNDING * noise[i]
     if block >= 0:
         touching[block] = mode[block] != 0
 
 
 @inner
-def _blank():  # type: ignore[no-untyped-def]
-    return Window(0, 0.0, 0.0, 0.0), 0.0
+def _blank() -> Opened:
+    return Opened(Window(0, 0.0, 0.0, 0.0), 0.0)
 
 
 @inner
-def _open(model, work, goal, state, window, remaining):  # type: ignore[no-untyped-def]
+def _open(
+    model: Model, work: Work[Local], goal: Goal[float], state: State, window: Opened, remaining: float
+) -> Opened:
     """Expand all series, and decide the modes of blocks at their belt's speed; `carry` leaves no window open."""
     target = control.next_window(state.clock, remaining)
     target = min(target, control.SPARSE_SPAN / goal.rate) if goal.rate > 0.0 else target
     order, h, allowed, n_products = expand(model, work.expansion, goal, state, target)
     state.counters[loop.N_PRODUCTS] += n_products
     work.local.origin[:] = 0.0
-    return Window(order, h, allowed, largest(state.z) + h * allowed / goal.tol), target
+    return Opened(Window(order, h, allowed, largest(state.z) + h * allowed / goal.tol), target)
 
 
 @inner
-def _at(model, work, goal, state, window, t):  # type: ignore[no-untyped-def]
-    sample(work.expansion, model.belt_speed, work.local.origin, window[0].order, t, t, state)
+def _at(model: Model, work: Work[Local], goal: Goal[float], state: State, window: Opened, t: float) -> None:
+    sample(work.expansion, model.belt_speed, work.local.origin, window.series.order, t, t, state)
 
 
 @inner
-def _pass_event(model, work, goal, state, window, block, span):  # type: ignore[no-untyped-def]
+def _pass_event(
+    model: Model,
+    work: Work[Local],
+    goal: Goal[float],
+    state: State,
+    window: Window,
+    block: int,
+    span: tuple[float, float],
+) -> float:
     """Carry the series over an event at the start of a span, if no other is due then; returns as `_pass_on_from`."""
     due, s = work.local.due, span[0]
     _schedule(due, block, _NEVER)
@@ -382,10 +434,20 @@ def _pass_event(model, work, goal, state, window, block, span):  # type: ignore[
 
 
 @inner
-def _carry(model, work, goal, state, opened, is_after_event, precheck, events, n_recorded):  # type: ignore[no-untyped-def]
+def _carry(
+    model: Model,
+    work: Work[Local],
+    goal: Goal[float],
+    state: State,
+    opened: Opened,
+    is_after_event: bool,
+    precheck: Precheck,
+    events: Events,
+    n_recorded: int,
+) -> tuple[Opened, int, bool]:
     """Go on to the end of the window, from event to event; see `frame.Way`."""
     expansion, local, clock, counters, mode = work.expansion, work.local, state.clock, state.counters, state.mode
-    (window, target), n, n_slip = opened, len(mode), 0
+    window, target, n, n_slip = opened.series, opened.target, len(mode), 0
     t, lacked, error_before = clock[loop.TIME], clock[loop.LACKING], clock[loop.ERROR]
     _schedule_all(model, expansion, work.search, local.due, window.order, window.span)
     for i in range(n):
@@ -395,11 +457,11 @@ def _carry(model, work, goal, state, opened, is_after_event, precheck, events, n
     while goes_on:
         counters[loop.N_STEPS] += 1
         is_event, goes_on = local.due[1] <= end, False
-        moved = min(local.due[1], end) - s
+        length = min(local.due[1], end) - s
         s = min(local.due[1], end)
         clock[loop.TIME], clock[loop.LACKING] = loop.later(t, lacked, s, goal.t_end)
         sample(expansion, model.belt_speed, local.origin, window.order, t, clock[loop.TIME], state)
-        if stalls(goal, counters, moved, clock[loop.TIME], not is_after_event):
+        if stalls(goal, counters, length, clock[loop.TIME], not is_after_event):
             return opened, n_recorded, True
         block = -1
         if is_event:
@@ -407,9 +469,9 @@ def _carry(model, work, goal, state, opened, is_after_event, precheck, events, n
             counters[loop.LAST_BLOCK] = block
             was = mode[block]
             # while none slips, nothing is expanded yet
-            held = _pass_event(model, work, goal, state, window, block, (s, end)) if n_slip > 0 else -1.0
-            if held >= s:
-                end, is_after_event = min(end, held), True
+            carried_to = _pass_event(model, work, goal, state, window, block, (s, end)) if n_slip > 0 else -1.0
+            if carried_to >= s:
+                end, is_after_event = min(end, carried_to), True
                 n_recorded = record(model, work, clock, (block, was), error, events, n_recorded)
                 loop.note_event(clock, counters)
                 n_slip += abs(mode[block]) - abs(was)

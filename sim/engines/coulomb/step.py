@@ -27,14 +27,21 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from stickslip.sim.engines import loop
-from stickslip.sim.engines.coulomb import control, taylor
+from stickslip.sim.engines.coulomb import control
+from stickslip.sim.engines.coulomb.control import Goal
 from stickslip.sim.engines.coulomb.events import enclose, excluded, root
+from stickslip.sim.engines.coulomb.expansion import Expansion
+from stickslip.sim.engines.coulomb.expansion import Window as Series
+from stickslip.sim.engines.coulomb.model import Model
 from stickslip.sim.engines.coulomb.overdamped import follow
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
 from stickslip.sim.engines.coulomb.taylor import correct, error_after, expand, shift
-from stickslip.sim.engines.coulomb.windows import evaluate, note, sample, stalls
+from stickslip.sim.engines.coulomb.windows import Search, Work, evaluate, note, sample, stalls
 from stickslip.sim.engines.frame import Way, frame
+from stickslip.sim.engines.loop import Events, State
+from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, largest
 
 
@@ -53,9 +60,9 @@ class Window(NamedTuple):
 
 
 @inner
-def _first_event(model, expansion, search, order, h):  # type: ignore[no-untyped-def]
+def _first_event(model: Model, expansion: Expansion, search: Search, order: int, h: float) -> tuple[float, int]:
     """Time to the first root of any event function within h, and its block; (h, -1) if there is none."""
-    series, mode, room = expansion.series, expansion.mode, (search.poly, search.found)
+    series, mode, room = expansion.series, expansion.mode, (search.poly, search.places)
     zeros, side, reach = expansion.zeros, expansion.side, search.reach
     damping, static, closed, v = model.damping, model.static, model.closed, model.belt_speed
     enclose(series, expansion.slips, order, h, reach, len(mode))
@@ -71,7 +78,17 @@ def _first_event(model, expansion, search, order, h):  # type: ignore[no-untyped
 
 
 @inner
-def _on_the_edge(model, expansion, near, z_max, w, block, order, step, has_forces):  # type: ignore[no-untyped-def]
+def _on_the_edge(
+    model: Model,
+    expansion: Expansion,
+    noise: Floats,
+    z_max: float,
+    w: Floats,
+    block: int,
+    order: int,
+    step: float,
+    has_forces: bool,
+) -> int:
     """Mark the slipping blocks with w = v up to rounding; returns how many blocks this instant concerns.
 
     Of them, with a static friction above the kinetic, a block that has just left goes on: w' is the difference of the
@@ -82,7 +99,7 @@ def _on_the_edge(model, expansion, near, z_max, w, block, order, step, has_force
     static, friction, damping, leaves = model.static, model.friction, model.damping, expansion.leaves
     row_sums, closed, count = model.row_sums, model.closed, 0
     for i in range(len(mode)):
-        touching[i] = mode[i] != 0 and mode[i] * (w[i] - v[i]) <= near[i]
+        touching[i] = mode[i] != 0 and mode[i] * (w[i] - v[i]) <= noise[i]
         jump = static[i] - friction[i]
         if touching[i] and jump > 0.0:
             w_dot = 0.0
@@ -101,12 +118,14 @@ def _on_the_edge(model, expansion, near, z_max, w, block, order, step, has_force
 
 
 @inner
-def _blank():  # type: ignore[no-untyped-def]
+def _blank() -> Window:
     return Window(False, False, False, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @inner
-def _open(model, work, goal, state, window, remaining):  # type: ignore[no-untyped-def]
+def _open(
+    model: Model, work: Work[None], goal: Goal[float], state: State, window: Window, remaining: float
+) -> Window:
     """Expand all series, and decide the modes of blocks at their belt's speed, unless the last window goes on."""
     if window.is_open:
         return window
@@ -123,22 +142,31 @@ def _open(model, work, goal, state, window, remaining):  # type: ignore[no-untyp
 
 
 @inner
-def _at(model, work, goal, state, window, t):  # type: ignore[no-untyped-def]
+def _at(model: Model, work: Work[None], goal: Goal[float], state: State, window: Window, t: float) -> None:
     sample(work.expansion, model.belt_speed, None, window.order, t, t, state)
 
 
 @inner
-def _pass_event(model, work, goal, state, window, block, step, left):  # type: ignore[no-untyped-def]
+def _pass_event(
+    model: Model,
+    work: Work[None],
+    goal: Goal[float],
+    state: State,
+    window: Window,
+    block: int,
+    step: float,
+    left: float,
+) -> float:
     """Go to an event, and carry the series over it; returns how far they hold from there on, 0 if not at all."""
     expansion, v, mode, z, w, order = work.expansion, model.belt_speed, state.mode, state.z, state.w, window.order
-    series, held = expansion.series, expansion.held
+    series, stuck_z = expansion.series, expansion.stuck_z
     shift(expansion, order, step, v)
     for i in range(len(z)):
-        z[i], w[i] = (held[i], v[i]) if mode[i] == 0 else (series[0, i], series[1, i])
+        z[i], w[i] = (stuck_z[i], v[i]) if mode[i] == 0 else (series[0, i], series[1, i])
     z_max = largest(z)
     if _on_the_edge(model, expansion, work.search.near, z_max, w, block, order, 0.0, True) > 1:
         return 0.0
-    of_series = taylor.Window(order, window.span, window.allowed, z_max)
+    of_series = Series(order, window.span, window.allowed, z_max)
     h, n_products = correct(model, expansion, block, of_series, left, goal.rate, state.clock)
     state.counters[loop.N_PRODUCTS] += n_products
     expansion.touching[block] = mode[block] != 0  # so that a new expansion, if it comes first, decides the same
@@ -146,9 +174,19 @@ def _pass_event(model, work, goal, state, window, block, step, left):  # type: i
 
 
 @inner
-def _carry(model, work, goal, state, window, is_after_event, precheck, events, n_recorded):  # type: ignore[no-untyped-def]
+def _carry(
+    model: Model,
+    work: Work[None],
+    goal: Goal[float],
+    state: State,
+    window: Window,
+    is_after_event: bool,
+    precheck: Precheck,
+    events: Events,
+    n_recorded: int,
+) -> tuple[Window, int, bool]:
     """Go on to the next event, or to the end of the window; see `frame.Way`."""
-    expansion, near, v, order = work.expansion, work.search.near, model.belt_speed, window.order
+    expansion, noise, v, order = work.expansion, work.search.near, model.belt_speed, window.order
     z, w, clock, counters = state.z, state.w, state.clock, state.counters
     series, reach = expansion.series, work.search.reach
     t, remaining = clock[loop.TIME], goal.t_end - clock[loop.TIME]
@@ -159,11 +197,11 @@ def _carry(model, work, goal, state, window, is_after_event, precheck, events, n
     if block >= 0:
         counters[loop.LAST_BLOCK] = block
     for i in range(len(z)):
-        near[i] = ROUNDING * (abs(series[1, i] - v[i]) + abs(2.0 * series[2, i] * window.left) + reach[i])
+        noise[i] = ROUNDING * (abs(series[1, i] - v[i]) + abs(2.0 * series[2, i] * window.left) + reach[i])
     t_next, lacking = loop.later(t, clock[loop.LACKING], step, goal.t_end)
     sample(expansion, v, None, order, t, t_next, state)
     age, left = window.age + step, window.left - step
-    of_series = taylor.Window(order, window.span, window.allowed, 0.0)
+    of_series = Series(order, window.span, window.allowed, 0.0)
     clock[loop.ERROR] = error_after(model, expansion, goal, of_series, age, window.error)
     is_linear = model.weakening is None and not window.is_slow
     if block >= 0 and left > 0.0 and is_linear and model.cross is None:
@@ -172,7 +210,7 @@ def _carry(model, work, goal, state, window, is_after_event, precheck, events, n
         clock[control.CARRIED] += 1.0 if is_open else 0.0
     else:
         evaluate(expansion, v, None, order, step, z, w)
-        _on_the_edge(model, expansion, near, 0.0, w, block, order, step, False)
+        _on_the_edge(model, expansion, noise, 0.0, w, block, order, step, False)
         h, is_cut, is_open = 0.0, window.is_cut or block >= 0, False
     clock[loop.TIME], clock[loop.LACKING] = t_next, lacking
     clock[control.EXPOSURE] += step

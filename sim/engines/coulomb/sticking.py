@@ -9,6 +9,8 @@ leave together, and the others are decided again without them.
 
 from __future__ import annotations
 
+from stickslip.sim.engines.coulomb.expansion import Expansion
+from stickslip.sim.engines.coulomb.model import Cross, Model
 from stickslip.sim.engines.forcing import acts
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arithmetic import ROUNDING
@@ -18,14 +20,14 @@ IDENTICALLY_ZERO = 320  # beyond every order of a series
 
 
 @inner
-def _of_others(cross, k, i):  # type: ignore[no-untyped-def]
+def _of_others(cross: Cross | None, k: int, i: int) -> float:
     if cross is None:
         return 0.0
     return cross.noise[k, i]
 
 
 @inner
-def known(model, k, i):  # type: ignore[no-untyped-def]
+def known(model: Model, k: int, i: int) -> float:
     """The sum of the magnitudes of the terms of the k-th coefficient of forces on block i beside K z.
 
     That is, of the external force, and of damping between blocks.
@@ -35,19 +37,19 @@ def known(model, k, i):  # type: ignore[no-untyped-def]
 
 
 @inner
-def force_rounding(drag, pull, most, forcing):  # type: ignore[no-untyped-def]
+def force_rounding(drag: float, pull: float, most: float, forcing: float) -> float:
     """A bound of the rounding of |F| - m of a block, from the magnitudes of its terms."""
     return ROUNDING * (abs(drag) + pull + most + forcing)
 
 
 @inner
-def push(closed, force):  # type: ignore[no-untyped-def]
+def push(closed: int, force: float) -> float:
     """The force that pushes a sticking block towards an open side: |F| if both sides are open."""
     return abs(force) if closed == 0 else closed * force
 
 
 @inner
-def settle(model, z_max, expansion):  # type: ignore[no-untyped-def]
+def settle(model: Model, z_max: float, expansion: Expansion) -> int:
     """Decide every block with w = v from |F| and m; returns how many have |F| = m and stay undecided."""
     damping, static, closed, v = model.damping, model.static, model.closed, model.belt_speed
     forces, mode, touching = expansion.forces, expansion.mode, expansion.touching
@@ -78,14 +80,14 @@ def settle(model, z_max, expansion):  # type: ignore[no-untyped-def]
 
 
 @inner
-def settle_by_order(model, k, c_max, expansion):  # type: ignore[no-untyped-def]
+def settle_by_order(model: Model, k: int, c_max: float, expansion: Expansion) -> tuple[int, bool]:
     """Decide the blocks with |F| = m whose F has its first coefficient that is not zero at order k.
 
     Returns how many they are, and whether to begin again since one of them leaves with a jump of w'.
     """
     forces, mode, zeros, side = expansion.forces, expansion.mode, expansion.zeros, expansion.side
     friction, static, leaves = model.friction, model.static, expansion.leaves
-    n_decided, again = 0, False
+    n_decided, is_repeated = 0, False
     for i in range(len(mode)):
         if side[i] != 0 and zeros[i] == IDENTICALLY_ZERO:
             push = -forces[k, i]
@@ -103,10 +105,10 @@ def settle_by_order(model, k, c_max, expansion):  # type: ignore[no-untyped-def]
                         is_felt = k > 1 or model.cross is not None
                         if is_felt and leaves[i] == 0:
                             leaves[i] = side[i]
-                            again = True
+                            is_repeated = True
                 else:
                     zeros[i] = k
-    if again:
+    if is_repeated:
         for i in range(len(mode)):
             expansion.touching[i] = expansion.touching[i] or side[i] != 0
-    return n_decided, again
+    return n_decided, is_repeated

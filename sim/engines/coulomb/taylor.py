@@ -18,100 +18,27 @@ friction does not fall: the others then respond by linear equations.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
-from threading import get_ident
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
-from stickslip.sim.engines.coulomb.model import SERIES_OF, coupling, fastest_belt
+from stickslip.sim.engines.coulomb.control import Goal
+from stickslip.sim.engines.coulomb.expansion import Expansion, Shape, Window
+from stickslip.sim.engines.coulomb.model import SERIES_OF, Cross, Model, SpeedWeakening, coupling, fastest_belt
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push, settle, settle_by_order
 from stickslip.sim.engines.forcing import acts, begin, may_change, take_off
-from stickslip.sim.engines.polynomials import begin_series, extend_series, left_at, place_of, value_of
+from stickslip.sim.engines.loop import State
+from stickslip.sim.engines.polynomials import Polynomials, begin_series, extend_series, left_at, place_of, value_of
 from stickslip.sim.kernels.compile import inner, one_of
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
 from stickslip.sim.numerics.horner import shift_rows
 from stickslip.sim.numerics.panels import SINGLE_ERROR
-from stickslip.sim.numerics.products import Room, list_moving, one_product, two_products, two_single_products
+from stickslip.sim.numerics.products import list_moving, one_product, two_products, two_single_products
+from stickslip.sim.numerics.sparse import Columns
 
 UNDECIDED = 2  #: in the place of a mode
-
-
-class Window(NamedTuple):
-    """The series of a window: their order, how far they hold, and their error."""
-
-    order: int
-    span: float  #: its length, over which an error `allowed` of w grows into one of z
-    allowed: float
-    z_max: float  #: bounds |z|
-
-
-class Shape(NamedTuple):
-    """The series of S for n blocks."""
-
-    series: Floats  #: S_k by rows, shape (1, orders, n), followed by the other series that the law keeps
-    scale: Floats  #: of x: the steepness times the direction of slip
-    x0: Floats
-
-
-@loop.by_run("mode", "touching", "leaves")
-class Expansion(NamedTuple):
-    """The series of n blocks about the present instant, which of them stick from then on, and workspace.
-
-    Of a stack, series and workspace are shared: no run's series outlives a slice.
-    """
-
-    series: Floats  #: by rows: c_k of a block that slips, and, once all are expanded, F - R v of one that sticks
-    forces: Floats  #: while they are expanded: K c_k and the like of N, less the coefficients of external forces
-    held: Floats  #: z of a block that sticks
-    mode: NDArray[np.int8]
-    slips: Floats  #: 1 where a block slips, else 0
-    touching: NDArray[np.bool_]  #: whether a block slips with w = v, so that it is to be decided
-    leaves: NDArray[np.int8]  #: the side to which a block that could stick leaves, if that is known, else 0
-    zeros: NDArray[
-        np.int64
-    ]  #: how many leading coefficients of its event function vanish; if it sticks, on its `side`
-    side: NDArray[np.int64]  #: of the interval |F| < m at which F is; 0: at neither
-    column: Floats
-    last: Floats
-    more: Floats
-    pull: Floats  #: the coefficients of F - R v of one block
-    change: Floats
-    passed: Floats  #: of what others pass on: their first two coefficients, and K times these
-    sizes: Floats
-    steps: Floats  #: how far a block is from the origin of its series
-    values: Floats  #: value and slope of its series there
-    shape: Shape | None  #: None if friction does not fall with speed
-    room: Room
-
-    @classmethod
-    def of(cls, mode: NDArray[np.int8], n_shapes: int) -> Expansion:
-        """No series yet; blocks of mode 0 are to be decided. `n_shapes` is how many series a weakening keeps.
-
-        Of a stack, with `mode` of shape (m, n). What stacks share, all runs of a thread share.
-        """
-        shared = _workspace(mode.shape[-1], n_shapes, get_ident())
-        return shared._replace(mode=mode, touching=mode == 0, leaves=np.zeros(mode.shape, np.int8))
-
-
-@lru_cache(maxsize=8)
-def _workspace(n: int, n_shapes: int, thread: int) -> Expansion:
-    """What runs of a thread share: for a small system it takes longer to make than a run."""
-    orders = control.ORDER_MAX + 1
-    series, forces = np.full((2, orders, n), np.nan)  # a coefficient used before it was computed would show
-    held, slips, column, last, more, steps = np.zeros((6, n))
-    zeros, side = np.zeros((2, n), np.int64)
-    pull, change = np.zeros((2, orders))
-    no_mode, passed, values = np.zeros((0, n), np.int8), np.zeros((2, 2, n)), np.zeros((2, n))
-    shape = Shape(np.full((n_shapes, orders, n), np.nan), *np.zeros((2, n))) if n_shapes else None
-    return Expansion(
-        series, forces, held, no_mode, slips, no_mode != 0, no_mode, zeros, side, column, last, more, pull, change,
-        passed, np.zeros(2), steps, values, shape, Room.of(n),
-    )  # fmt: skip
 
 
 _recurrence = one_of([law.recurrence for law in SERIES_OF])
@@ -119,7 +46,7 @@ _shape_of_law = one_of([law.shape for law in SERIES_OF])
 
 
 @inner
-def _shape_of(pieces, law, x):  # type: ignore[no-untyped-def]
+def _shape_of(pieces: Polynomials | None, law: int, x: float) -> float:
     """S of x, by the law's pieces or its code."""
     if pieces is None:
         return _shape_of_law(law, x)
@@ -127,7 +54,9 @@ def _shape_of(pieces, law, x):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _extend_by(pieces, law, k, z, x0, scale, shape):  # type: ignore[no-untyped-def]
+def _extend_by(
+    pieces: Polynomials | None, law: int, k: int, z: Floats, x0: Floats, scale: Floats, shape: Floats
+) -> None:
     """S_k of all blocks, k >= 1, by the law's pieces or its code."""
     if pieces is None:
         _recurrence(law, k, z, x0, scale, shape)
@@ -136,14 +65,14 @@ def _extend_by(pieces, law, k, z, x0, scale, shape):  # type: ignore[no-untyped-
 
 
 @inner
-def _begin_by(pieces, x0, shape):  # type: ignore[no-untyped-def]
+def _begin_by(pieces: Polynomials | None, x0: Floats, shape: Floats) -> None:
     """Begin the series of S, of pieces."""
     if pieces is not None:
         begin_series(pieces, x0, shape)
 
 
 @inner
-def _share_of(pieces, is_entire, x0, left, slope):  # type: ignore[no-untyped-def]
+def _share_of(pieces: Polynomials | None, is_entire: bool, x0: float, left: float, slope: float) -> float:
     """One over the change of x within which the series of S is of use, in units of `control.TO_POLE`."""
     if pieces is None:
         return left if is_entire or left == 0.0 else 1.0 / (1.0 + x0)
@@ -154,7 +83,7 @@ def _share_of(pieces, is_entire, x0, left, slope):  # type: ignore[no-untyped-de
 
 
 @inner
-def _is_lost(weakening, model, expansion, i):  # type: ignore[no-untyped-def]
+def _is_lost(weakening: SpeedWeakening, model: Model, expansion: Expansion, i: int) -> bool:
     """Whether the most that a block's friction may fall by is below the rounding of its other forces.
 
     Such a block passes its belt in so short a time that the series of friction in time leaves float64.
@@ -164,31 +93,32 @@ def _is_lost(weakening, model, expansion, i):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _extend_shape(weakening, model, expansion, k):  # type: ignore[no-untyped-def]
+def _extend_shape(weakening: SpeedWeakening, shape: Shape, model: Model, expansion: Expansion, k: int) -> None:
     """S_k of all blocks."""
-    series, shape, scale, x0 = expansion.series, expansion.shape.series, expansion.shape.scale, expansion.shape.x0
+    series, of_shape, scale, x0 = expansion.series, shape.series, shape.scale, shape.x0
     for i in range(len(scale)):
         scale[i] = weakening.steepness * expansion.mode[i]
     if k > 0:
-        _extend_by(weakening.pieces, weakening.law, k, series, x0, scale, shape)
+        _extend_by(weakening.pieces, weakening.law, k, series, x0, scale, of_shape)
         return
     for i in range(len(scale)):
         x0[i] = scale[i] * (series[1, i] - model.belt_speed[i])
-        shape[0, 0, i] = _shape_of(weakening.pieces, weakening.law, x0[i])
-    _begin_by(weakening.pieces, x0, shape)
+        of_shape[0, 0, i] = _shape_of(weakening.pieces, weakening.law, x0[i])
+    _begin_by(weakening.pieces, x0, of_shape)
     for i in range(len(scale)):
         if _is_lost(weakening, model, expansion, i):
-            shape[:, 0, i] = 0.0  # and by the recurrence all other S_k
+            of_shape[:, 0, i] = 0.0  # and by the recurrence all other S_k
 
 
 @inner
-def _resist(weakening, model, expansion, k):  # type: ignore[no-untyped-def]
+def _resist(
+    weakening: SpeedWeakening | None, shape: Shape | None, model: Model, expansion: Expansion, k: int
+) -> None:
     """Add friction at order k, less the constant part that `_expand` has, to the coefficients k + 2."""
-    if weakening is None:
+    if weakening is None or shape is None:
         return
     series, mode, slips = expansion.series, expansion.mode, expansion.slips
-    _extend_shape(weakening, model, expansion, k)
-    shape = expansion.shape
+    _extend_shape(weakening, shape, model, expansion, k)
     factor = -1.0 / ((k + 2) * (k + 1))
     for i in range(len(mode)):
         less = model.friction[i] * (1.0 - weakening.far[i]) * (shape.series[0, k, i] - (1.0 if k == 0 else 0.0))
@@ -196,18 +126,18 @@ def _resist(weakening, model, expansion, k):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _known_within(weakening, expansion):  # type: ignore[no-untyped-def]
+def _known_within(weakening: SpeedWeakening | None, shape: Shape | None, expansion: Expansion) -> float:
     """The time over which the series of S is of use: until x, at its present slope, is half of the way to a pole.
 
     If S has no pole, until S would change by half of S(0), as exp(-x) at its present slope would.
     """
     time = np.inf
-    if weakening is None:
+    if weakening is None or shape is None:
         return time
     for i in range(len(expansion.mode)):
-        left = expansion.shape.series[0, 0, i]
+        left = shape.series[0, 0, i]
         slope = expansion.mode[i] * expansion.series[2, i]
-        share = _share_of(weakening.pieces, weakening.is_entire, expansion.shape.x0[i], left, slope)
+        share = _share_of(weakening.pieces, weakening.is_entire, shape.x0[i], left, slope)
         rise = abs(2.0 * weakening.steepness * expansion.series[2, i] * share)
         if rise * time > control.TO_POLE:
             time = control.TO_POLE / rise
@@ -215,37 +145,57 @@ def _known_within(weakening, expansion):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _within_pieces(pieces, weakening, model, expansion, order, h):  # type: ignore[no-untyped-def]
+def _within_pieces(
+    pieces: Polynomials | None,
+    weakening: SpeedWeakening,
+    shape: Shape,
+    model: Model,
+    expansion: Expansion,
+    order: int,
+    h: float,
+) -> float:
     """The time, at most h, at which x of a block first leaves the piece of S from which its series is."""
     if pieces is None:
         return h
     for i in range(len(expansion.mode)):
         if expansion.mode[i] != 0 and not _is_lost(weakening, model, expansion, i):
-            h = left_at(pieces, expansion.series, expansion.shape, i, order, h)
+            h = left_at(pieces, expansion.series, shape.scale[i], shape.x0[i], i, order, h)
     return h
 
 
 @inner
-def _within(weakening, model, expansion, order, h):  # type: ignore[no-untyped-def]
+def _within(
+    weakening: SpeedWeakening | None, shape: Shape | None, model: Model, expansion: Expansion, order: int, h: float
+) -> float:
     """The part of a step h in which friction is as its series are."""
-    if weakening is None:
+    if weakening is None or shape is None:
         return h
-    return _within_pieces(weakening.pieces, weakening, model, expansion, order, h)
+    return _within_pieces(weakening.pieces, weakening, shape, model, expansion, order, h)
 
 
 @inner
-def _is_friction_known(weakening, model, expansion, order, h, allowed):  # type: ignore[no-untyped-def]
+def _is_friction_known(
+    weakening: SpeedWeakening | None,
+    shape: Shape | None,
+    model: Model,
+    expansion: Expansion,
+    order: int,
+    h: float,
+    allowed: float,
+) -> bool:
     """Whether, up to h, friction is what the series up to this order say."""
-    if weakening is None:
+    if weakening is None or shape is None:
         return True
-    h = _within(weakening, model, expansion, order, h)
-    return _is_shape(weakening, model, expansion, order, h, allowed) and (
+    h = _within(weakening, shape, model, expansion, order, h)
+    return _is_shape(weakening, shape, model, expansion, order, h, allowed) and (
         not weakening.is_entire or _weakens_less(weakening, model, expansion, order, h, allowed)
     )
 
 
 @inner
-def _weakens_less(weakening, model, expansion, order, h, allowed):  # type: ignore[no-untyped-def]
+def _weakens_less(
+    weakening: SpeedWeakening, model: Model, expansion: Expansion, order: int, h: float, allowed: float
+) -> bool:
     """Whether, up to h, the terms of an S without a pole fall beyond this order, or are too small to matter.
 
     Where x is large the first terms of exp(-x) are far below any tolerance, yet x may fall by more than the order.
@@ -268,14 +218,16 @@ def _weakens_less(weakening, model, expansion, order, h, allowed):  # type: igno
 
 
 @inner
-def _is_shape(weakening, model, expansion, order, h, allowed):  # type: ignore[no-untyped-def]
+def _is_shape(
+    weakening: SpeedWeakening, shape: Shape, model: Model, expansion: Expansion, order: int, h: float, allowed: float
+) -> bool:
     """Whether at h the series of S has come to S, but for what is allowed.
 
     Terms of some orders may vanish though those beyond do not, as where R makes up for the fall of friction. The
     error of w is that of friction, from its first term that lacks. Of a block that comes to its belt an earlier
     instant is looked at.
     """
-    series, shape = expansion.series, expansion.shape
+    series = expansion.series
     for i in range(len(expansion.mode)):
         drop = model.friction[i] * (1.0 - weakening.far[i]) * h
         if expansion.mode[i] == 0 or drop == 0.0 or shape.series[0, 0, i] == 0.0:  # the last: see `_is_lost`
@@ -285,22 +237,22 @@ def _is_shape(weakening, model, expansion, order, h, allowed):  # type: ignore[n
             if x >= 0.0:
                 break
             s *= 0.5
-            x, size, told, power = shape.x0[i], 1.0, shape.series[0, 0, i], 1.0
+            x, size, approximation, power = shape.x0[i], 1.0, shape.series[0, 0, i], 1.0
             for k in range(1, order):
                 power *= s
                 term = shape.scale[i] * (k + 1) * series[k + 1, i] * power
                 x += term
                 size += abs(term)
-                told += shape.series[0, k, i] * power if k < order - 1 else 0.0
+                approximation += shape.series[0, k, i] * power if k < order - 1 else 0.0
         if x >= 0.0:
-            lacking = abs(_shape_of(weakening.pieces, weakening.law, x) - told) - ROUNDING * size
+            lacking = abs(_shape_of(weakening.pieces, weakening.law, x) - approximation) - ROUNDING * size
             if drop * lacking > order * allowed:
                 return False
     return True
 
 
 @inner
-def _may_be_single(model, k, sizes, h, allowed):  # type: ignore[no-untyped-def]
+def _may_be_single(model: Model, k: int, sizes: Floats, h: float, allowed: float) -> bool:
     """Whether products of K with c_k and c_{k+1}, of these sizes, may be in single precision.
 
     An error e of K c_k, relative to the row sums of K, is one of h^k e in F and of h^(k + 1) e in w. The error of F
@@ -314,13 +266,13 @@ def _may_be_single(model, k, sizes, h, allowed):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _are_in_range(low, high):  # type: ignore[no-untyped-def]
+def _are_in_range(low: float, high: float) -> bool:
     """Whether vectors of these sizes can be scaled for products in single precision."""
     return (low == 0.0 or low > control.TINY) and (high == 0.0 or high > control.TINY)
 
 
 @inner
-def _drag_along(cross, series, k, forces):  # type: ignore[no-untyped-def]
+def _drag_along(cross: Cross | None, series: Floats, k: int, forces: Floats) -> None:
     """Add the k-th coefficient of N w to that of K z, and bound its rounding."""
     if cross is None:
         return
@@ -332,14 +284,16 @@ def _drag_along(cross, series, k, forces):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _products_to(model, k):  # type: ignore[no-untyped-def]
+def _products_to(model: Model, k: int) -> int:
     """The number of products up to order k: of K two orders at a time, of N each."""
     of_stiffness = k + 1 + (k + 1) % 2
     return of_stiffness if model.cross is None else of_stiffness + k + 1
 
 
 @inner
-def expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-def]
+def expand(
+    model: Model, expansion: Expansion, goal: Goal[float], state: State, target: float
+) -> tuple[int, float, float, int]:
     """Expand the series of all blocks at the present instant, and decide the modes of those with w = v on the way.
 
     Returns the order reached, the step on which the series holds to `tol`, the error of w that `tol` allows, and
@@ -351,17 +305,19 @@ def expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-de
         n_products += n_more
         if order > 0:
             expansion.leaves[:] = 0
-            h = _within(model.weakening, model, expansion, order, h)
+            h = _within(model.weakening, expansion.shape, model, expansion, order, h)
             hold(expansion, order)
             return order, h, allowed, n_products
 
 
 @inner
-def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-def]
+def _expand(
+    model: Model, expansion: Expansion, goal: Goal[float], state: State, target: float
+) -> tuple[int, float, float, int]:
     """As `expand`; the order is 0 if it is to begin again, now that a block is known to leave."""
     damping, friction, v = model.damping, model.friction, model.belt_speed
     series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
-    touching, sizes = expansion.touching, expansion.sizes
+    touching, sizes, shape = expansion.touching, expansion.sizes, expansion.shape
     z, w, t, tol, rate = state.z, state.w, state.clock[loop.TIME], goal.tol, goal.rate
     n = len(z)
     for i in range(n):
@@ -381,8 +337,8 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
     for i in range(n):
         slips[i] = 1.0 if mode[i] != 0 else 0.0
         series[2, i] = -0.5 * slips[i] * (damping[i] * w[i] + forces[0, i] + friction[i] * mode[i])
-    _resist(weakening, model, expansion, 0)
-    target = min(target, _known_within(weakening, expansion))
+    _resist(weakening, shape, model, expansion, 0)
+    target = min(target, _known_within(weakening, shape, expansion))
     # the error of w allowed in this step: relative to w, the belt and the change of w; that of z is then smaller
     allowed = tol * max(w_max, fastest_belt(model), 2.0 * largest(series[2]) * target)
     allowed = max(allowed, tol * target * may_change(forcing, t, target), control.LEAST_ALLOWED)
@@ -406,8 +362,8 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
             pushed = pushed_next
         _drag_along(model.cross, series, k, forces[k])
         if n_undecided > 0:
-            n_decided, again = settle_by_order(model, k, largest(series[k]), expansion)
-            if again:
+            n_decided, is_repeated = settle_by_order(model, k, largest(series[k]), expansion)
+            if is_repeated:
                 return 0, 0.0, 0.0, _products_to(model, k)
             n_undecided -= n_decided
             for i in range(n):
@@ -418,7 +374,7 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
         factor = -1.0 / ((k + 2) * (k + 1))
         for i in range(n):
             series[k + 2, i] = slips[i] * factor * (damping[i] * (k + 1) * series[k + 1, i] + forces[k, i])
-        _resist(weakening, model, expansion, k)
+        _resist(weakening, shape, model, expansion, k)
         size = largest(series[k + 2])
         sizes[0], sizes[1] = sizes[1], size
         order = k + 2
@@ -433,7 +389,7 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
         n_products = _products_to(model, k)
         # the last term of w decides; two in a row, since one can vanish by chance
         is_polynomial = size == 0.0 and last == 0.0 and order >= control.ORDER_MIN
-        if is_polynomial and _is_friction_known(weakening, model, expansion, order, target, allowed):
+        if is_polynomial and _is_friction_known(weakening, shape, model, expansion, order, target, allowed):
             # exact at any distance
             is_exact = not is_single and (weakening is None or largest(slips) == 0.0)
             speed = max(largest(forces[1]), largest(series[2]))
@@ -443,7 +399,7 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
             n_small += 1
             # below order = rate * target the terms of a small state may still rise
             is_enough = n_small >= 2 and n_undecided == 0 and order >= max(control.ORDER_MIN, rate * target)
-            if is_enough and _is_friction_known(weakening, model, expansion, order, target, allowed):
+            if is_enough and _is_friction_known(weakening, shape, model, expansion, order, target, allowed):
                 return order, target, allowed, n_products
         else:
             n_small = 0
@@ -454,13 +410,15 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
         h = min(h, (allowed / (order * last)) ** (1.0 / (order - 1)))
     if before > 0.0:
         h = min(h, (allowed / ((order - 1) * before)) ** (1.0 / (order - 2)))
-    while h > 0.0 and not _is_friction_known(weakening, model, expansion, order, h, allowed):
+    while h > 0.0 and not _is_friction_known(weakening, shape, model, expansion, order, h, allowed):
         h *= control.SHRINK
     return order, h, allowed, n_products
 
 
 @inner
-def error_after(model, expansion, goal, window, step, error):  # type: ignore[no-untyped-def]
+def error_after(
+    model: Model, expansion: Expansion, goal: Goal[float], window: Window, step: float, error: float
+) -> float:
     """The error of w a step into a window, from that before it: what the series leave out by then, and rounding.
 
     The terms left out first follow from the last two, which have come to the error allowed at most, wherever in the
@@ -488,40 +446,40 @@ def error_after(model, expansion, goal, window, step, error):  # type: ignore[no
 
 
 @inner
-def hold(expansion, order):  # type: ignore[no-untyped-def]
+def hold(expansion: Expansion, order: int) -> None:
     """Know blocks that stick by the force on them from here on, of two orders less than z: the last two are zero."""
     series, forces, mode = expansion.series, expansion.forces, expansion.mode
     for i in range(len(mode)):
         if mode[i] == 0:
-            expansion.held[i] = series[0, i]
+            expansion.stuck_z[i] = series[0, i]
             for k in range(order - 1):
                 series[k, i] = forces[k, i]
             series[order - 1, i], series[order, i] = 0.0, 0.0
 
 
 @inner
-def shift(expansion, order, step, v):  # type: ignore[no-untyped-def]
+def shift(expansion: Expansion, order: int, step: float, v: Floats) -> None:
     """Shift the origin of all series by a step."""
-    held, steps = expansion.held, expansion.steps
-    for i in range(len(held)):
-        held[i] += step * v[i]
+    stuck_z, steps = expansion.stuck_z, expansion.steps
+    for i in range(len(stuck_z)):
+        stuck_z[i] += step * v[i]
         steps[i] = step
-    shift_rows(expansion.series, 0, len(held), order, steps)
+    shift_rows(expansion.series, 0, len(stuck_z), order, steps)
 
 
 @inner
-def pull_of(model, i, mode, series, at, order, pull):  # type: ignore[no-untyped-def]
-    """The coefficients of F - R v of block i, whose series, in this mode, is the column `at`."""
+def pull_of(model: Model, i: int, mode: int, series: Floats, column: int, order: int, pull: Floats) -> None:
+    """The coefficients of F - R v of block i, whose series, in this mode, is this column."""
     for k in range(order - 1):
-        pull[k] = series[k, at]
+        pull[k] = series[k, column]
         if mode != 0:
-            pull[k] = -(k + 1) * ((k + 2) * series[k + 2, at] + model.damping[i] * series[k + 1, at])
+            pull[k] = -(k + 1) * ((k + 2) * series[k + 2, column] + model.damping[i] * series[k + 1, column])
     if mode != 0:
         pull[0] -= model.friction[i] * mode
 
 
 @inner
-def decide(model, i, was_stuck, force, slope, window, rate):  # type: ignore[no-untyped-def]
+def decide(model: Model, i: int, was_stuck: bool, force: float, slope: float, window: Window, rate: float) -> int:
     """Mode of block i after its event, from F and its slope; UNDECIDED if that takes more accurate series."""
     span, allowed, z_max = window.span, window.allowed, window.z_max
     most, row_sum = model.static[i], model.row_sums[i]
@@ -544,7 +502,7 @@ def decide(model, i, was_stuck, force, slope, window, rate):  # type: ignore[no-
 
 
 @inner
-def curvature(model, i, was_stuck, new, force):  # type: ignore[no-untyped-def]
+def curvature(model: Model, i: int, was_stuck: bool, new: int, force: float) -> float:
     """c_2 of block i from its event on, in its new mode, under this F; one that has stuck leaves with F at m."""
     if new == 0:
         return 0.0
@@ -554,7 +512,7 @@ def curvature(model, i, was_stuck, new, force):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _copy_column(columns, i, column):  # type: ignore[no-untyped-def]
+def _copy_column(columns: Columns, i: int, column: Floats) -> None:
     """Column i of K, dense or sparse."""
     if len(columns.dense) > 0:
         copy(columns.dense[i], column)
@@ -565,11 +523,11 @@ def _copy_column(columns, i, column):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _change_own(model, expansion, i, new, order, own):  # type: ignore[no-untyped-def]
-    """The series of block i from its event on, at the belt's speed, and how it changes z; `own` is K_ii."""
-    series, held, pull, change = expansion.series, expansion.held, expansion.pull, expansion.change
+def _change_own(model: Model, expansion: Expansion, i: int, new: int, order: int, diagonal: float) -> None:
+    """The series of block i from its event on, at the belt's speed, and how it changes z; `diagonal` is K_ii."""
+    series, stuck_z, pull, change = expansion.series, expansion.stuck_z, expansion.pull, expansion.change
     damping, v, was_stuck = model.damping[i], model.belt_speed[i], expansion.mode[i] == 0
-    z = held[i] if was_stuck else series[0, i]
+    z = stuck_z[i] if was_stuck else series[0, i]
     for k in range(order - 1):
         old = 0.0 if was_stuck else series[k + 2, i]
         if k == 0:
@@ -580,10 +538,10 @@ def _change_own(model, expansion, i, new, order, own):  # type: ignore[no-untype
             c = -(damping * (k + 1) * series[k + 1, i] + pull[k]) / ((k + 2) * (k + 1))
         series[k + 2, i], change[k + 2] = c, c - old
         if k + 2 <= order - 2:
-            pull[k + 2] += own * change[k + 2]
+            pull[k + 2] += diagonal * change[k + 2]
     series[0, i], series[1, i] = z, v
     if new == 0:
-        held[i] = z
+        stuck_z[i] = z
         for k in range(order - 1):
             series[k, i] = pull[k]
     expansion.mode[i] = new
@@ -591,7 +549,9 @@ def _change_own(model, expansion, i, new, order, own):  # type: ignore[no-untype
 
 
 @inner
-def _change_others(model, expansion, order, h, limit, may_take_product):  # type: ignore[no-untyped-def]
+def _change_others(
+    model: Model, expansion: Expansion, order: int, h: float, limit: float, may_take_product: bool
+) -> tuple[float, int]:
     """The series of the others from an event on, by its block's `change` and `column`, whose own entry is zero.
 
     Returns the time until what is left out makes an error of w at the limit, at most h, and the number of products.
@@ -628,7 +588,9 @@ def _change_others(model, expansion, order, h, limit, may_take_product):  # type
 
 
 @inner
-def correct(model, expansion, block, window, h, rate, clock):  # type: ignore[no-untyped-def]
+def correct(
+    model: Model, expansion: Expansion, block: int, window: Window, h: float, rate: float, clock: Floats
+) -> tuple[float, int]:
     """Carry the series over an event of one block, without a new expansion.
 
     From the event on, block i moves by its new equation, z_i + delta, where delta starts at second order. The others
@@ -648,9 +610,9 @@ def correct(model, expansion, block, window, h, rate, clock):  # type: ignore[no
     if new == UNDECIDED:
         return 0.0, 0
     _copy_column(model.columns, i, column)
-    own = column[i]
+    diagonal = column[i]
     column[i] = 0.0
-    _change_own(model, expansion, i, new, order, own)
+    _change_own(model, expansion, i, new, order, diagonal)
     expansion.zeros[:] = 0
     expansion.side[:] = 0
     if new != 0:

@@ -15,13 +15,18 @@ import numpy as np
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.certificates import Collapse
 from stickslip.sim.engines.contract import Task
+from stickslip.sim.engines.loop import Events
+from stickslip.sim.engines.precheck import Precheck
+from stickslip.sim.engines.stacks import Stack
 from stickslip.sim.engines.waveform import control as limits
+from stickslip.sim.engines.waveform.control import Control
 from stickslip.sim.engines.waveform.friction import SetValued
 from stickslip.sim.engines.waveform.layout import Exact, Model, Shared, Workspace
 from stickslip.sim.engines.waveform.matrices import matrices_of
 from stickslip.sim.engines.waveform.runs import WaveformRuns, tables_of
 from stickslip.sim.engines.waveform.step import take
 from stickslip.sim.kernels.compile import kernel
+from stickslip.sim.numerics.arguments import Floats, Ints
 from stickslip.sim.numerics.radau import NODES
 from stickslip.sim.runs.run import Run, StalledError
 
@@ -32,7 +37,13 @@ _PIECES, _MORE = 8, 256
 
 
 @kernel
-def advance(stack, events, precheck, first, slices):  # type: ignore[no-untyped-def]
+def advance(
+    stack: Stack[Model, Workspace, Control[Floats], Ints],
+    events: Events,
+    precheck: Precheck,
+    first: int,
+    slices: Ints,
+) -> None:
     """See `frame`."""
     take(stack, events, precheck, first, slices)
 
@@ -40,7 +51,7 @@ def advance(stack, events, precheck, first, slices):  # type: ignore[no-untyped-
 class _Waves(WaveformRuns):
     """Of one task."""
 
-    kernel, tells_touches, method = advance, True, "waveform relaxation"
+    kernel, tells_touches, method = staticmethod(advance), True, "waveform relaxation"
     stalled = "a step fell to the rounding of time"
     safety, longest = 1.0, np.inf
 
@@ -62,9 +73,14 @@ class _Waves(WaveformRuns):
         self.events_a_step, Shared(self.work.shared).safety = len(self.work.changes.x), self.safety
         unused = np.zeros((1, 1, 0))
         self.models = Model(
-            SetValued(), exact, *matrices_of(system), loop.forcing_of(self.drives),
-            unused, unused, np.ones((1, 1), np.bool_),
-        )  # fmt: skip
+            SetValued(),
+            exact,
+            *matrices_of(system),
+            loop.forcing_of(self.drives),
+            unused,
+            unused,
+            np.ones((1, 1), np.bool_),
+        )
 
     def alone(self, k: int) -> Run:
         return self.go_on(k)

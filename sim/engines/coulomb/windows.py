@@ -3,30 +3,22 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
-from stickslip.sim.engines.coulomb.model import coupling
+from stickslip.sim.engines.coulomb.control import Goal
+from stickslip.sim.engines.coulomb.expansion import Expansion
+from stickslip.sim.engines.coulomb.model import Model, coupling
+from stickslip.sim.engines.coulomb.overdamped import Slow
+from stickslip.sim.engines.loop import Events, State
 from stickslip.sim.kernels.compile import inner
-from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.arguments import Floats, Ints
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy
 from stickslip.sim.numerics.horner import values_and_slopes
-
-
-class Goal(NamedTuple):
-    """What a piece is run to: its end, the tolerance, and bounds. Of a stack: arrays of what is each run's own."""
-
-    t_end: float | Floats  #: from the start of the piece
-    is_last: bool
-    instant: float  #: none: -1
-    tol: float | Floats
-    rate: float | Floats  #: bounds |eigenvalues|
-    decay: float | Floats  #: the rate at which errors fade, at least
-    bound: float | Floats  #: of |z_i| and |w_i|; beyond it Python decides whether the run diverges
 
 
 @loop.by_run("known_mode", "initial_mode")
@@ -38,7 +30,7 @@ class Search(NamedTuple):
     reach: Floats  #: how far a block's event function can deviate in a step from its tangent at the start
     near: Floats  #: the rounding of w - v in a step
     poly: Floats
-    found: Floats
+    places: Floats  #: of roots
 
     @classmethod
     def of(cls, mode: NDArray[np.int8]) -> Search:
@@ -47,21 +39,39 @@ class Search(NamedTuple):
         return cls(mode.copy(), mode.copy(), reach, near, np.empty(control.ORDER_MAX + 1), np.empty(1))
 
 
+#: `sparse.Local`, of a stack of one where an event is a local update; else None.
+Near = TypeVar("Near", covariant=True)
+
+
+@loop.by_run("expansion", "search")
+class Work(NamedTuple, Generic[Near]):
+    """What changes in a run, beside its state."""
+
+    expansion: Expansion
+    search: Search
+    slow: Slow | None  #: of a stack of one: where blocks are heavily damped
+    local: Near
+
+
 @inner
-def evaluate(expansion, v, origin, order, s, z, w):  # type: ignore[no-untyped-def]
+def evaluate(
+    expansion: Expansion, v: Floats, origin: Floats | None, order: int, s: float, z: Floats, w: Floats
+) -> None:
     """z and w at an instant; each block's series is about its own `origin`, if that is given."""
-    mode, steps, values, held = expansion.mode, expansion.steps, expansion.values, expansion.held
+    mode, steps, values, stuck_z = expansion.mode, expansion.steps, expansion.values, expansion.stuck_z
     for i in range(len(z)):
         steps[i] = s if origin is None else s - origin[i]
     values_and_slopes(expansion.series, order, steps, values)
     for i in range(len(z)):
         z[i], w[i] = values[0, i], values[1, i]
         if mode[i] == 0:
-            z[i], w[i] = held[i] + v[i] * steps[i], v[i]
+            z[i], w[i] = stuck_z[i] + v[i] * steps[i], v[i]
 
 
 @inner
-def sample(expansion, v, origin, order, t, t_next, state):  # type: ignore[no-untyped-def]
+def sample(
+    expansion: Expansion, v: Floats, origin: Floats | None, order: int, t: float, t_next: float, state: State
+) -> None:
     """Record the state at all sample times up to t_next; s is the time since t."""
     samples = state.samples
     k = state.counters[loop.N_SAMPLED]
@@ -72,7 +82,7 @@ def sample(expansion, v, origin, order, t, t_next, state):  # type: ignore[no-un
 
 
 @inner
-def touch(model, series, i, before, mode, error):  # type: ignore[no-untyped-def]
+def touch(model: Model, series: Floats, i: int, before: int, mode: int, error: float) -> float:
     """As of `loop.touch`, at an event of block i, about which its series now is.
 
     With a static friction above the kinetic a change of mode may last any time: a touch sticks there, until F has
@@ -92,7 +102,9 @@ def touch(model, series, i, before, mode, error):  # type: ignore[no-untyped-def
 
 
 @inner
-def note(model, work, goal, state, events, n_recorded):  # type: ignore[no-untyped-def]
+def note(
+    model: Model, work: Work[object], goal: Goal[float], state: State, events: Events, n_recorded: int
+) -> tuple[int, bool]:
     """Record the modes that have changed; returns how many events are recorded, and whether all modes agree."""
     clock, counters, mode, known_mode = state.clock, state.counters, state.mode, work.search.known_mode
     if counters[loop.N_STEPS] == 0:
@@ -110,7 +122,15 @@ def note(model, work, goal, state, events, n_recorded):  # type: ignore[no-untyp
 
 
 @inner
-def record(model, work, clock, change, error, events, n_recorded):  # type: ignore[no-untyped-def]
+def record(
+    model: Model,
+    work: Work[object],
+    clock: Floats,
+    change: tuple[int, int],
+    error: float,
+    events: Events,
+    n_recorded: int,
+) -> int:
     """Record an event now: a block, and its mode before. Returns how many events are recorded."""
     (block, before), mode = change, work.expansion.mode
     events.t[n_recorded] = clock[loop.TIME]
@@ -122,17 +142,17 @@ def record(model, work, clock, change, error, events, n_recorded):  # type: igno
 
 
 @inner
-def instant(goal, t):  # type: ignore[no-untyped-def]
+def instant(goal: Goal[float], t: float) -> float:
     """The distance at which rounding cannot tell two times near t apart."""
     return ROUNDING * max(min(1.0, goal.t_end), t)
 
 
 @inner
-def stalls(goal, counters, moved, t, is_without_event):  # type: ignore[no-untyped-def]
-    """Whether too many steps in a row were too short; the last one, at t, had the length `moved`."""
+def stalls(goal: Goal[float], counters: Ints, length: float, t: float, is_without_event: bool) -> bool:
+    """Whether too many steps in a row were too short; the last one, at t, had this length."""
     least = instant(goal, t)
     if is_without_event and goal.rate > 0.0:
         # rounding can also make touches of a block that feels one far larger than itself: an end, but no event
         least = max(least, control.CRAWL / goal.rate)
-    counters[loop.N_STALLED] = counters[loop.N_STALLED] + 1 if moved <= least else 0
+    counters[loop.N_STALLED] = counters[loop.N_STALLED] + 1 if length <= least else 0
     return counters[loop.N_STALLED] > control.STALL

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from stickslip.sim.engines.contract import Task
+from stickslip.sim.engines.loop import Buffers
 from stickslip.sim.engines.moreau.step import (
     BEYOND,
     DONE,
@@ -14,6 +15,9 @@ from stickslip.sim.engines.moreau.step import (
     N_ALL_STUCK,
     N_COUNTERS,
     SAMPLED,
+    Events,
+    Model,
+    State,
     advance,
     whole_steps,
 )
@@ -31,41 +35,39 @@ def integrate(task: Task, longest: float) -> Run:
     if (least := system.least_damping) * h <= -2.0:
         most, step = apart(-2.0 / least, longest)
         raise ValueError(f"step: expected less than {most}, 2 over the most negative damping, got {step}")
-    model = (system.columns, system.damping, system.friction, system.static, float(system.belt_speed))
+    model = Model(system.columns, system.damping, system.friction, system.static, float(system.belt_speed))
     z, w = task.z0.copy(), task.w0.copy()
-    mode = np.sign(w - system.belt_speed).astype(np.int8)
-    initial_mode = mode.copy()
+    state = State(z, w, np.sign(w - system.belt_speed).astype(np.int8))
+    initial_mode = state.mode.copy()
     samples, counters = task.samples, np.zeros(N_COUNTERS, dtype=np.int64)
-    since_start = samples.t - task.t_start
+    buffers = Buffers(samples.t - task.t_start, samples.z, samples.w)
     n_first = int(np.searchsorted(samples.t, task.t_start, side="right"))
     samples.z[:n_first], samples.w[:n_first], counters[SAMPLED] = z, w, n_first
     capacity = max(2 * n, 4096)
-    at, block, to = np.empty(capacity, np.int64), np.empty(capacity, np.int32), np.empty(capacity, np.int8)
-    all_stuck = np.empty((2, capacity))
-    if not mode.any():
-        all_stuck[:, 0] = 0, z.sum()
+    events = Events(
+        np.empty(capacity, np.int64),
+        np.empty(capacity, np.int32),
+        np.empty(capacity, np.int8),
+        np.empty((2, capacity)),
+    )
+    if not initial_mode.any():
+        events.all_stuck[:, 0] = 0, z.sum()
         counters[[IS_ALL_STUCK, N_ALL_STUCK]] = 1
-    parts = []
-    is_within = True
+    parts, is_within = list[Events](), True
     while counters[DONE] < n_steps and is_within:
-        recorded, is_within = advance(
-            model, (z, w, mode), (h, n_steps), (since_start, samples.z, samples.w),
-            (at, block, to, all_stuck), counters,
-        )  # fmt: skip
-        n_all_stuck = counters[N_ALL_STUCK]
-        kept = (at[:recorded], block[:recorded], to[:recorded], all_stuck[:, :n_all_stuck])
-        parts.append(tuple(one.copy() for one in kept))
+        n_recorded, is_within = advance(model, state, h, n_steps, buffers, events, counters)
+        parts.append(events.first(n_recorded, counters[N_ALL_STUCK]))
         counters[N_ALL_STUCK] = 0
+    parts.append(events.first(0, counters[N_ALL_STUCK]))  # without a step, of the start
     if not np.isfinite(z).all() or not np.isfinite(w).all():
         raise IntegrationError(f"the state is not finite after t = {task.t_start + counters[DONE] * h:g}")
-    no_events = at[:0], block[:0], to[:0], all_stuck[:, : counters[N_ALL_STUCK]]
-    steps, blocks, modes, noted = (np.concatenate(part, axis=-1) for part in zip(no_events, *parts, strict=True))
+    steps, blocks, modes, noted = (np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
     is_first = steps == 0  # what leaves at once does not stick
     initial_mode[blocks[is_first]] = modes[is_first]
     steps, blocks, modes = steps[~is_first], blocks[~is_first], modes[~is_first]
     order = np.lexsort((blocks, steps))  # stable: a block enters before it leaves at the same instant
     reached = task.t_start + int(counters[DONE]) * h if counters[DONE] < n_steps else task.t_end
-    done = int(counters[DONE])
+    n_done = int(counters[DONE])
     # on the clock of the run until nothing is compared any more
     series = _crossed(EventSeries(steps[order] * h, blocks[order], modes[order], initial_mode, 0.0, span))
     series = without_returns(series, np.zeros(len(series), np.intp), series.t, np.zeros(len(series)))
@@ -77,7 +79,7 @@ def integrate(task: Task, longest: float) -> Run:
         events=series,
         outcome="finished" if is_within else "diverged",
         reason="" if is_within else f"|z| or |w| passed {BEYOND:g} after t = {reached:.4g}",
-        stats=Stats(n_steps=done, n_rejected=0, n_products=done, n_events=len(series)),
+        stats=Stats(n_steps=n_done, n_rejected=0, n_products=n_done, n_events=len(series)),
         samples=samples.first(int(counters[SAMPLED])),
         stills=Stills(np.minimum(task.t_start + noted[0] * h, reached), noted[1]),
     )
@@ -89,8 +91,13 @@ def _crossed(series: EventSeries) -> EventSeries:
     block, t, mode = series.block[order], series.t[order], series.mode[order]
     passes = (block[1:] == block[:-1]) & (t[1:] == t[:-1]) & (mode[:-1] == 0)
     passes &= mode[1:] == -series.previous_mode[order][:-1]
-    kept = np.ones(len(series), dtype=bool)
-    kept[order[:-1][passes]] = False
+    is_kept = np.ones(len(series), dtype=bool)
+    is_kept[order[:-1][passes]] = False
     return EventSeries(
-        series.t[kept], series.block[kept], series.mode[kept], series.initial_mode, series.t_start, series.t_end
+        series.t[is_kept],
+        series.block[is_kept],
+        series.mode[is_kept],
+        series.initial_mode,
+        series.t_start,
+        series.t_end,
     )

@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 from stickslip.sim.engines import certificates, loop, stacks
 from stickslip.sim.engines.contract import Ratios, Task
 from stickslip.sim.engines.forcing import Drive, Forcing
+from stickslip.sim.engines.loop import Events
 from stickslip.sim.engines.polynomials import Polynomials
+from stickslip.sim.engines.precheck import Precheck
+from stickslip.sim.engines.stacks import Stack
 from stickslip.sim.engines.waveform import control as limits
-from stickslip.sim.engines.waveform.control import first_step
+from stickslip.sim.engines.waveform.control import Control, first_step
 from stickslip.sim.engines.waveform.events import PASSES
 from stickslip.sim.engines.waveform.friction import Peaked, Plain, Steady
 from stickslip.sim.engines.waveform.layout import Blocks, Model, Shared, Workspace
@@ -22,7 +25,7 @@ from stickslip.sim.engines.waveform.matrices import NONE, Matrix, matrices_of, m
 from stickslip.sim.engines.waveform.runs import WaveformRuns, forces_of, tables_of
 from stickslip.sim.engines.waveform.step import take
 from stickslip.sim.kernels.compile import kernel
-from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.arguments import Floats, Ints
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.friction import hidden_term, over_kinetic, turning_point
 from stickslip.sim.systems.once import once_a_system
@@ -121,7 +124,13 @@ class _Inside(NamedTuple):
 
 
 @kernel
-def advance(stack, events, precheck, first, slices):  # type: ignore[no-untyped-def]
+def advance(
+    stack: Stack[Model, Workspace, Control[Floats], Ints],
+    events: Events,
+    precheck: Precheck,
+    first: int,
+    slices: Ints,
+) -> None:
     """See `frame`."""
     take(stack, events, precheck, first, slices)
 
@@ -184,7 +193,7 @@ def _given(system: System, engine: Sigmoid) -> _Given:
 
 
 class _Runs(WaveformRuns):
-    kernel = advance
+    kernel = staticmethod(advance)
 
     def __init__(self, engine: Sigmoid, tasks: Sequence[Task]) -> None:
         systems = self.systems = [task.system for task in tasks]

@@ -106,7 +106,7 @@ def _newton(block: Any, law: Law) -> Lane:
     h, u0, steep, mu, done = block.h, block.u0, block.steep, block.friction, block.done
     stages = range(STAGES)
     u, f = block.u, block.f
-    moved = [x - u0 for x in u]
+    change_of_u = [x - u0 for x in u]
     damping, friction = block.damping, _friction(block, law)
     residual: list[Lane] = []
     matrix: list[list[Lane | float]] = []
@@ -114,7 +114,7 @@ def _newton(block: Any, law: Law) -> Lane:
     for k in stages:
         phi, slope = friction(u[k] * steep)
         force = damping * u[k] + f[k] + mu * phi
-        residual.append(-(dot(INVERSE[k], moved) + h * force))
+        residual.append(-(dot(INVERSE[k], change_of_u) + h * force))
         row: list[Lane | float] = [float(a) for a in INVERSE[k]]
         row[k] = h * (damping + mu * steep * slope) + row[k]
         matrix.append(row)
@@ -150,8 +150,8 @@ def _finish(block: Any, law: Law) -> Lane:
     h, u0, z0, belt = block.h, block.u0, block.z0, block.belt
     stages = range(STAGES)
     u = block.u
-    moved = [x - u0 for x in u]
-    rate = [dot(INVERSE[k], moved) for k in stages]  # times h
+    change_of_u = [x - u0 for x in u]
+    rate = [dot(INVERSE[k], change_of_u) for k in stages]  # times h
     block.z = [z0 + h * (dot(WEIGHTS[k], u) + belt * float(NODES[k])) for k in stages]
     error = _error(rate)
     block.error = error
@@ -173,25 +173,25 @@ def _probe(block: Any, law: Law) -> Lane:
     h, u0, steep, mu, damping = block.h, block.u0, block.steep, block.friction, block.damping
     stages = range(STAGES)
     u, f = block.u, block.f
-    moved, values = [x - u0 for x in u], [u0, *u]
+    change_of_u, values = [x - u0 for x in u], [u0, *u]
     # friction at the nodes, times -h, by the equations
-    pull = [dot(INVERSE[k], moved) + h * (damping * u[k] + f[k]) for k in stages]
+    pull = [dot(INVERSE[k], change_of_u) + h * (damping * u[k] + f[k]) for k in stages]
     low, high = u0, u0
     for x in u:
         low, high = less(low, x), greater(high, x)
     error, friction = block.error, _friction(block, law)
     most, softest = h * 0.0, h * 0.0 + 1e300
     for m in range(len(PLACES)):
-        there = dot(ALL_AT_PLACES[m], values) if m > 0 else u0
-        phi, slope = friction(there * steep)
-        bent = damping * (there - dot(AT_PLACES[m], u)) + mu * phi
+        value = dot(ALL_AT_PLACES[m], values) if m > 0 else u0
+        phi, slope = friction(value * steep)
+        bent = damping * (value - dot(AT_PLACES[m], u)) + mu * phi
         defect = absolute(h * bent + dot(AT_PLACES[m], pull)) * (1.0 if m > 0 else control.AT_START)
         error = greater(error, defect / (1.0 + h * (damping + mu * steep * _stiff(slope, law))))
         most, softest = greater(most, defect), less(softest, slope)
-        low, high = less(low, there), greater(high, there)
+        low, high = less(low, value), greater(high, value)
     if law is not Plain:
-        held = most / (1.0 + h * (damping + mu * steep * _stiff(softest, law)))
-        error = where(block.peak < 1e300, greater(error, held), error)
+        at_softest = most / (1.0 + h * (damping + mu * steep * _stiff(softest, law)))
+        error = where(block.peak < 1e300, greater(error, at_softest), error)
     behind = where(u[-1] > 0.0, u0, u0 * -1.0)
     jumped = (behind * steep < control.IN) & (absolute(u[-1]) * steep > control.OUT)
     error = where(jumped, error * block.passed, error)
@@ -259,16 +259,16 @@ def _slide(block: Any, _: Law) -> Lane:
     damping, f, static = block.damping, block.f, block.static
     stages = range(STAGES)
     pull = damping * u0 + block.friction * mode
-    moved = [-(h * (pull + f[k])) for k in stages]
+    change_of_u = [-(h * (pull + f[k])) for k in stages]
     drag = h * damping
     matrix: list[list[Lane | float]] = []
     for k in stages:
         row: list[Lane | float] = [float(a) for a in INVERSE[k]]
         row[k] = drag + row[k]
         matrix.append(row)
-    _solve(matrix, moved)
+    _solve(matrix, change_of_u)
     sticks = absolute(mode) < 0.5
-    u = block.u = [where(sticks, 0.0 * u0, u0 + x) for x in moved]
+    u = block.u = [where(sticks, 0.0 * u0, u0 + x) for x in change_of_u]
     block.z = [z0 + h * (dot(WEIGHTS[k], u) + belt * float(NODES[k])) for k in stages]
     error = _error([dot(INVERSE[k], [x - u0 for x in u]) for k in stages])
     low, high = _bounds([u0, *u])
@@ -278,8 +278,8 @@ def _slide(block: Any, _: Law) -> Lane:
     is_followed = (absolute(drag) < control.SOFT) | (error < block.tolerance * control.COLLOCATED)
     slips_on = (least > absolute(belt) * control.AT_BELT) & is_followed
     holds = (low_force + static > 0.0) & (high_force - static < 0.0)
-    one, none = h * 0.0 + 1.0, h * 0.0
-    return where(sticks, where(holds, one, none), where(slips_on, one, none)) > 0.5
+    yes, no = h * 0.0 + 1.0, h * 0.0
+    return where(sticks, where(holds, yes, no), where(slips_on, yes, no)) > 0.5
 
 
 def _view(block: Any, _: Law) -> None:
@@ -299,8 +299,8 @@ def _predict(block: Any, shared: Any) -> None:
     f, u, u0 = block.kept_f, block.kept_u, block.u0
     leads_nowhere = block.was_split > 0.5  # the polynomial of a block that took substeps
 
-    def ahead(row: list[Lane], kept: list[Lane]) -> Lane:
-        return total([w * x for w, x in zip(row, kept, strict=True)])
+    def ahead(row: list[Lane], values: list[Lane]) -> Lane:
+        return total([w * x for w, x in zip(row, values, strict=True)])
 
     block.f = [ahead(row, f) for row in weights]
     block.u = [where(leads_nowhere, u0, ahead(row, u)) for row in weights]

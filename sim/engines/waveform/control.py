@@ -7,7 +7,7 @@ prints the errors).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Generic, NamedTuple
 
 import numpy as np
 
@@ -145,16 +145,16 @@ AT_END = 0.03
 STEP, KEPT_STEP, CONTRACTION, JUMPED = range(loop.N_CLOCKS, loop.N_CLOCKS + 4)
 
 
-class Control(NamedTuple):
-    """The end of a piece, and the tolerances: a goal of `frame`. Of a stack: arrays of what is each run's own."""
+class Control(NamedTuple, Generic[loop.Number]):
+    """The end of a piece, and the tolerances: a goal of `frame`."""
 
-    t_end: float | Floats  #: from the start of the piece
+    t_end: loop.Number  #: from the start of the piece
     is_last: bool  #: whether the run ends there
     instant: float  #: if not negative: take one step to record the events by then, and keep the state
-    bound: float | Floats  #: of |z_i| and |w_i|
+    bound: loop.Number  #: of |z_i| and |w_i|
     longest: float  #: the longest step, by the frequencies of forces
     safety: float  #: the safety factor, tolerance of a substep over that of the run
-    single_rate: float | Floats  #: the error of K z in single precision, over the change of z
+    single_rate: loop.Number  #: the error of K z in single precision, over the change of z
 
 
 class Solution(NamedTuple):
@@ -177,7 +177,7 @@ def first_step(atol: float, speed: float) -> float:
 
 
 @inner
-def next_step(control, clock):  # type: ignore[no-untyped-def]
+def next_step(control: Control[float], clock: Floats) -> float:
     """Length of the next macro step, such that no rest of a piece is much shorter than the step before it."""
     remaining = control.t_end - clock[loop.TIME]
     h = min(clock[STEP], control.longest)
@@ -187,27 +187,27 @@ def next_step(control, clock):  # type: ignore[no-untyped-def]
 
 
 @inner
-def single_limit(control, atol, h):  # type: ignore[no-untyped-def]
+def single_limit(control: Control[float], atol: float, h: float) -> float:
     """The largest change of z in a step whose product with K may be in single precision."""
     return SINGLE_SHARE * atol / (max(1.0, h) * h * control.single_rate)
 
 
 @inner
-def is_in_single_range(control, size):  # type: ignore[no-untyped-def]
+def is_in_single_range(control: Control[float], size: float) -> bool:
     """Whether a change of this size, and its product with K, are within single precision."""
     product = size * control.single_rate / SINGLE_ERROR
     return size == 0.0 or (min(size, product) > SINGLE_LEAST and max(size, product) < SINGLE_MOST)
 
 
 @inner
-def shrink(clock, h, tail):  # type: ignore[no-untyped-def]
+def shrink(clock: Floats, h: float, tail: float) -> None:
     """Set the step to try after one that failed; the tail of F scales with h^3 there."""
     factor = max(SAFETY * (TAIL / tail) ** (1.0 / 3.0), SHRINK) if tail > TAIL else HALVE
     clock[STEP], clock[CONTRACTION] = h * factor, 0.0
 
 
 @inner
-def grow(clock, h, solution, may_grow):  # type: ignore[no-untyped-def]
+def grow(clock: Floats, h: float, solution: Solution, may_grow: bool) -> None:
     """Set the step to try after one that was accepted; after a failure it does not grow at once."""
     factor = SAFETY * (TAIL / max(solution.tail, 1e-300)) ** (1.0 / STAGES)
     most = GROW_FAST if solution.tail < FAR_BELOW * TAIL else GROW

@@ -9,15 +9,14 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from stickslip.sim.engines import loop
+from stickslip.sim.engines.loop import Buffers, Events
 from stickslip.sim.engines.waveform.collocation import view
 from stickslip.sim.engines.waveform.friction import sign_of_number
-from stickslip.sim.engines.waveform.layout import blocks
+from stickslip.sim.engines.waveform.layout import Blocks, Exact, Model, Span, Workspace, blocks
 from stickslip.sim.engines.waveform.pieces import slip_at
 from stickslip.sim.kernels.compile import inner
-from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.arguments import Floats, Ints
 from stickslip.sim.numerics.arithmetic import copy, room
 from stickslip.sim.numerics.lanes import WIDTH
 from stickslip.sim.numerics.radau import ALL_NODES, ALL_TO_POWERS, BARYCENTRIC, NODES, STAGES, TO_BERNSTEIN, WEIGHTS
@@ -26,14 +25,6 @@ from stickslip.sim.numerics.roots import horner, insert, insert_roots, refine
 #: The most crossings of bounds by a block in a step: the roots of eleven polynomials of degree five, and the start.
 PASSES = 11 * STAGES + 1
 _MARKS, _NODES = PASSES + 1, STAGES + 1
-
-
-class Span(NamedTuple):
-    """The times of a step, or a substep, from the start of the piece."""
-
-    start: float
-    length: float
-    end: float  #: that of the macro step, to the last bit
 
 
 class Hold(NamedTuple):
@@ -53,13 +44,13 @@ class Motion(NamedTuple):
 
 
 @inner
-def _hold_of(model, block, d, i):  # type: ignore[no-untyped-def]
+def _hold_of(model: Model, block: Blocks, d: int, i: int) -> Hold:
     """What holds block i by definition d."""
     return Hold(model.bands[d, i], model.by_force[d], block.static[i], block.closed[i])
 
 
 @inner
-def mode_of(mode, gap, force, hold, kinetic, peak):  # type: ignore[no-untyped-def]
+def mode_of(mode: int, gap: float, force: float, hold: Hold, kinetic: float, peak: float) -> int:
     """Mode of a block under the smoothed law, from its mode before, w - v and F.
 
     `peak` is the w - v at which the law has its peak: a block that slips beyond it is not held while F, above kinetic
@@ -73,7 +64,7 @@ def mode_of(mode, gap, force, hold, kinetic, peak):  # type: ignore[no-untyped-d
 
 
 @inner
-def _hull(values, bernstein):  # type: ignore[no-untyped-def]
+def _hull(values: Floats, bernstein: Floats) -> tuple[float, float]:
     """Bernstein coefficients, from values at the start and the nodes; returns their bounds."""
     low, high = values[0], values[0]
     bernstein[0] = values[0]
@@ -87,7 +78,7 @@ def _hull(values, bernstein):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _powers(values, poly):  # type: ignore[no-untyped-def]
+def _powers(values: Floats, poly: Floats) -> None:
     """Coefficients of powers, from values at the start and the nodes."""
     for p in range(STAGES + 1):
         poly[p] = 0.0
@@ -96,7 +87,7 @@ def _powers(values, poly):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _marks(poly, bernstein, bound, marks, n_marks, found):  # type: ignore[no-untyped-def]
+def _marks(poly: Floats, bernstein: Floats, bound: float, marks: Floats, n_marks: int, places: Floats) -> int:
     """Insert the places in (0, 1] at which a polynomial passes a bound into `marks`, which rise."""
     above, below, changes = False, False, 0
     for j in range(STAGES + 1):
@@ -109,13 +100,13 @@ def _marks(poly, bernstein, bound, marks, n_marks, found):  # type: ignore[no-un
     if changes == 1 and bernstein[0] != bound and bernstein[STAGES] != bound:
         n_marks = insert(refine(poly, STAGES, 0.0, 1.0, bernstein[0] < bound, 0.5), marks, n_marks)
     else:
-        n_marks = insert_roots(poly, STAGES, marks, n_marks, found)
+        n_marks = insert_roots(poly, STAGES, marks, n_marks, places)
     poly[0] = at_start
     return n_marks
 
 
 @inner
-def _at(values, x):  # type: ignore[no-untyped-def]
+def _at(values: Floats, x: float) -> float:
     """Value at x of the polynomial with these values at the start and the nodes: Neville's scheme, barycentric."""
     above, below = 0.0, 0.0
     for k in range(STAGES + 1):
@@ -128,7 +119,7 @@ def _at(values, x):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _to_open(closed, gap, force):  # type: ignore[no-untyped-def]
+def _to_open(closed: float, gap: float, force: float) -> tuple[float, float]:
     """w - v and F, with w - v cut off at zero on a closed side, and F where it pushes there."""
     if closed < 0.0:
         return max(gap, 0.0), min(force, 0.0)
@@ -138,7 +129,7 @@ def _to_open(closed, gap, force):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _keeps(hold, gaps, forces, mode):  # type: ignore[no-untyped-def]
+def _keeps(hold: Hold, gaps: tuple[float, float], forces: tuple[float, float], mode: int) -> bool:
     """Whether the mode cannot change while u and F are between these bounds."""
     low, low_force = _to_open(hold.closed, gaps[0], forces[0])
     high, high_force = _to_open(hold.closed, gaps[1], forces[1])
@@ -153,26 +144,33 @@ def _keeps(hold, gaps, forces, mode):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _all_marks(hold, mu, peak, bears, scratch):  # type: ignore[no-untyped-def]
+def _all_marks(hold: Hold, mu: float, peak: float, bears: float, scratch: Floats) -> int:
     """Find the places, in rising order, at which u or F pass a bound that may change the mode; returns how many."""
-    of_u, of_force, poly_u, poly_force, marks, found = (
-        scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5],
-    )  # fmt: skip
-    n_marks = _marks(poly_u, of_u, 0.0, marks, np.int64(0), found)
+    of_u, of_force, poly_u, poly_force, marks, places = (
+        scratch[0],
+        scratch[1],
+        scratch[2],
+        scratch[3],
+        scratch[4],
+        scratch[5],
+    )
+    n_marks = _marks(poly_u, of_u, 0.0, marks, 0, places)
     if mu > 0.0:
         for sign in (-1.0, 1.0):
-            n_marks = _marks(poly_u, of_u, sign * hold.band, marks, n_marks, found)
-            n_marks = _marks(poly_force, of_force, sign * bears, marks, n_marks, found)
+            n_marks = _marks(poly_u, of_u, sign * hold.band, marks, n_marks, places)
+            n_marks = _marks(poly_force, of_force, sign * bears, marks, n_marks, places)
             if hold.by_force:
-                n_marks = _marks(poly_force, of_force, sign * hold.static, marks, n_marks, found)
+                n_marks = _marks(poly_force, of_force, sign * hold.static, marks, n_marks, places)
                 if peak < hold.band:
-                    n_marks = _marks(poly_u, of_u, sign * peak, marks, n_marks, found)
-                    n_marks = _marks(poly_force, of_force, sign * mu, marks, n_marks, found)
+                    n_marks = _marks(poly_u, of_u, sign * peak, marks, n_marks, places)
+                    n_marks = _marks(poly_force, of_force, sign * mu, marks, n_marks, places)
     return n_marks
 
 
 @inner
-def _on_step(model, work, d, i, motion, span, events, n_recorded):  # type: ignore[no-untyped-def]
+def _on_step(
+    model: Model, work: Workspace, d: int, i: int, motion: Motion, span: Span, events: Events, n_recorded: int
+) -> int:
     """Record the changes of mode of block i by definition d on a step or substep; returns how many are recorded.
 
     Only a force above friction and damping at the edge of the band pushes a block out of it: an exit with less force,
@@ -180,7 +178,7 @@ def _on_step(model, work, d, i, motion, span, events, n_recorded):  # type: igno
     """
     block, scratch = blocks(work.table), room(6, _MARKS)
     poly_u, poly_force, marks = scratch[2], scratch[3], scratch[4]
-    mode = np.int64(work.modes[d, i])
+    mode = int(work.modes[d, i])
     hold = _hold_of(model, block, d, i)
     mu, peak, band = block.friction[i], block.peak[i], hold.band
     gaps, forces = _hull(motion.u, scratch[0]), _hull(motion.force, scratch[1])
@@ -211,7 +209,7 @@ def _on_step(model, work, d, i, motion, span, events, n_recorded):  # type: igno
 
 
 @inner
-def step_events(model, work, n_substeps, span, events, n_recorded):  # type: ignore[no-untyped-def]
+def step_events(model: Model, work: Workspace, n_substeps: int, span: Span, events: Events, n_recorded: int) -> int:
     """Record all changes of mode on a macro step, by every definition of sticking; returns how many are recorded.
 
     By definition d, block i is labelled i + d n.
@@ -226,7 +224,7 @@ def step_events(model, work, n_substeps, span, events, n_recorded):  # type: ign
         for i in range(n):
             hold = _hold_of(model, block, d, i)
             gaps, forces = (block.low[i], block.high[i]), (block.low_force[i], block.high_force[i])
-            if work.is_split[i] or _keeps(hold, gaps, forces, np.int64(work.modes[d, i])):
+            if work.is_split[i] or _keeps(hold, gaps, forces, int(work.modes[d, i])):
                 continue
             u[0], force[0] = block.u0[i], block.force0[i]
             for k in range(STAGES):
@@ -237,7 +235,7 @@ def step_events(model, work, n_substeps, span, events, n_recorded):  # type: ign
             i, start, length = substeps.block[k], substeps.start[k], substeps.length[k]
             hold = _hold_of(model, block, d, i)
             gaps, forces = _hull(substeps.u[k], bernstein), (block.low_force[i], block.high_force[i])
-            if _keeps(hold, gaps, forces, np.int64(work.modes[d, i])):
+            if _keeps(hold, gaps, forces, int(work.modes[d, i])):
                 continue
             if i != last:
                 last = i
@@ -246,13 +244,15 @@ def step_events(model, work, n_substeps, span, events, n_recorded):  # type: ign
                     force[j + 1] = block.f[j, i]
             for j in range(STAGES + 1):
                 of_substep[j] = _at(force, start + length * ALL_NODES[j])
-            part = Span(span.start + span.length * start, span.length * length, span.end)
-            n_recorded = _on_step(model, work, d, i, Motion(substeps.u[k], of_substep), part, events, n_recorded)
+            span_of_substep = Span(span.start + span.length * start, span.length * length, span.end)
+            n_recorded = _on_step(
+                model, work, d, i, Motion(substeps.u[k], of_substep), span_of_substep, events, n_recorded
+            )
     return n_recorded
 
 
 @inner
-def until(instant, first, n_recorded, events):  # type: ignore[no-untyped-def]
+def until(instant: float, first: int, n_recorded: int, events: Events) -> int:
     """Drop the events, from the first on, that are after an instant; returns how many are recorded then."""
     n_kept = first
     for k in range(first, n_recorded):
@@ -263,7 +263,7 @@ def until(instant, first, n_recorded, events):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _next(events, first, n_recorded, k):  # type: ignore[no-untyped-def]
+def _next(events: Events, first: int, n_recorded: int, k: int) -> int:
     """The event that follows k in time, among those from the first on, or -1; the earliest follows -1."""
     t, best = events.t, -1
     for j in range(first, n_recorded):
@@ -274,7 +274,16 @@ def _next(events, first, n_recorded, k):  # type: ignore[no-untyped-def]
 
 
 @inner
-def note_all_stuck(model, work, n_substeps, span, first, n_recorded, events, counters):  # type: ignore[no-untyped-def]
+def note_all_stuck(
+    model: Model,
+    work: Workspace,
+    n_substeps: int,
+    span: Span,
+    first: int,
+    n_recorded: int,
+    events: Events,
+    counters: Ints,
+) -> None:
     """Record where the blocks are when all come to stick, or one leaves, at the events of a macro step from `first`.
 
     The modes before the step become those after it.
@@ -304,7 +313,7 @@ def note_all_stuck(model, work, n_substeps, span, first, n_recorded, events, cou
 
 
 @inner
-def _of_substep(exact, work, place, inside, h):  # type: ignore[no-untyped-def]
+def _of_substep(exact: Exact | None, work: Workspace, place: int, inside: float, h: float) -> tuple[float, float]:
     """u at a share of a substep, and by how much z has moved since it began, on a macro step of length h."""
     substeps, length, belt = work.substeps, h * work.substeps.length[place], blocks(work.table).belt
     belt_speed = belt[substeps.block[place]]
@@ -312,21 +321,21 @@ def _of_substep(exact, work, place, inside, h):  # type: ignore[no-untyped-def]
         weights, of_u = room(1, _NODES)[0], substeps.u[place]
         for k in range(STAGES + 1):
             weights[k] = horner(ALL_TO_POWERS[:, k], STAGES, inside)
-        u, moved = weights[0] * of_u[0], 0.0
+        u, travel = weights[0] * of_u[0], 0.0
         for k in range(STAGES):
             u += weights[k + 1] * of_u[k + 1]
             of_node = NODES[k] * belt_speed
             for j in range(STAGES):
                 of_node += WEIGHTS[k, j] * of_u[j + 1]
-            moved += weights[k + 1] * of_node
-        return u, moved * length
+            travel += weights[k + 1] * of_node
+        return u, travel * length
     else:
         u, mean = slip_at(work.changes, place, inside)
         return u, (belt_speed + mean) * inside * length
 
 
 @inner
-def sample(model, work, n_substeps, span, samples, m):  # type: ignore[no-untyped-def]
+def sample(model: Model, work: Workspace, n_substeps: int, span: Span, samples: Buffers, m: int) -> int:
     """Record the state at all sample times of a macro step, from number m on; returns the next number."""
     block, substeps = blocks(work.table), work.substeps
     weights = room(1, _NODES)[0]
@@ -344,7 +353,7 @@ def sample(model, work, n_substeps, span, samples, m):  # type: ignore[no-untype
         for place in range(n_substeps):
             i, inside = substeps.block[place], (x - substeps.start[place]) / substeps.length[place]
             if 0.0 <= inside <= 1.0 + 1e-9:
-                u, moved = _of_substep(model.exact, work, place, inside, span.length)
-                samples.z[m, i], samples.w[m, i] = substeps.z[place] + moved, block.belt[i] + u
+                u, travel = _of_substep(model.exact, work, place, inside, span.length)
+                samples.z[m, i], samples.w[m, i] = substeps.z[place] + travel, block.belt[i] + u
         m += 1
     return m

@@ -76,7 +76,7 @@ _smooth_sign_of_number = on_number(smooth_sign)
 
 
 @inner
-def sign_of_number(x, c):  # type: ignore[no-untyped-def]
+def sign_of_number(x: float, c: float) -> float:
     """s(tanh x); with c = 0 that is tanh x to the last bit."""
     lam, rise = _smooth_sign_of_number(x)
     return lam + c * (lam * rise)

@@ -188,6 +188,14 @@ class Lanes(NamedTuple):
     last: NDArray[np.int64]  #: the last substep; -1: none
 
 
+class Span(NamedTuple):
+    """The times of a step, or a substep, from the start of the piece."""
+
+    start: float
+    length: float
+    end: float  #: that of the macro step, to the last bit
+
+
 @by_run("table", "modes", "next_h")
 class Workspace(NamedTuple):
     """What changes in a run, beside its state, and scratch arrays."""

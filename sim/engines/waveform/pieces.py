@@ -20,11 +20,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from stickslip.sim.engines.loop import touch
+from stickslip.sim.engines.loop import Events, touch
 from stickslip.sim.engines.waveform import control
 from stickslip.sim.engines.waveform.collocation import slide
-from stickslip.sim.engines.waveform.layout import ORDER, blocks
+from stickslip.sim.engines.waveform.layout import ORDER, Blocks, Changes, Model, Span, Substeps, Workspace, blocks
 from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import copy, room
 from stickslip.sim.numerics.lanes import ALL, WIDTH
 from stickslip.sim.numerics.radau import ALL_TO_POWERS, PROJECT, STAGES
@@ -40,17 +41,17 @@ _NEVER = 2.0
 
 
 @inner
-def _first_fall(poly, degree, noise, found):  # type: ignore[no-untyped-def]
+def _first_fall(poly: Floats, degree: int, noise: float, places: Floats) -> float:
     """The first place in [0, 1] at which a polynomial falls through zero, or below it where it starts; else `_NEVER`.
 
     At the end it has fallen if it is below its `noise`.
 
     Where it begins below zero, by the rounding or the error of F, and rises, it has not fallen.
     """
-    others = 0.0
+    spread = 0.0
     for k in range(1, degree + 1):
-        others += abs(poly[k])
-    if poly[0] - others > noise:
+        spread += abs(poly[k])
+    if poly[0] - spread > noise:
         return _NEVER
     skip = 0
     while skip < degree and poly[skip] == 0.0:
@@ -58,22 +59,22 @@ def _first_fall(poly, degree, noise, found):  # type: ignore[no-untyped-def]
     if skip == degree:
         return _NEVER
     if poly[skip] > 0.0:
-        if roots(poly[skip:], degree - skip, found[:1]) > 0:
-            return found[0]
+        if roots(poly[skip:], degree - skip, places[:1]) > 0:
+            return places[0]
         return 1.0 if horner(poly, degree, 1.0) <= noise else _NEVER
     if skip > 0 or poly[1] <= 0.0:
         return 0.0
-    for k in range(roots(poly, degree, found)):
+    for k in range(roots(poly, degree, places)):
         slope = 0.0
         for j in range(degree, 0, -1):
-            slope = slope * found[k] + j * poly[j]
+            slope = slope * places[k] + j * poly[j]
         if slope < 0.0:
-            return found[k]
+            return places[k]
     return _NEVER
 
 
 @inner
-def _begin_force(block, i, force):  # type: ignore[no-untyped-def]
+def _begin_force(block: Blocks, i: int, force: Floats) -> None:
     """The powers of F of block i about the start of the macro step."""
     for p in range(STAGES + 1):
         value = ALL_TO_POWERS[p, 0] * block.force0[i]
@@ -83,7 +84,7 @@ def _begin_force(block, i, force):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _move_on(force, x):  # type: ignore[no-untyped-def]
+def _move_on(force: Floats, x: float) -> None:
     """The powers of F about a place x further on."""
     for k in range(STAGES + 1):
         for j in range(STAGES - 1, k - 1, -1):
@@ -91,7 +92,7 @@ def _move_on(force, x):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _until_exit(force, static, left, poly, found):  # type: ignore[no-untyped-def]
+def _until_exit(force: Floats, static: float, left: float, poly: Floats, places: Floats) -> float:
     """The place at which a block that sticks is let go, over what is left of the step, or `_NEVER`."""
     first = _NEVER
     for sign in (-1.0, 1.0):
@@ -100,12 +101,12 @@ def _until_exit(force, static, left, poly, found):  # type: ignore[no-untyped-de
             poly[p] = -sign * force[p] * power
             power *= left
         poly[0] += static
-        first = min(first, _first_fall(poly, STAGES, 0.0, found))
+        first = min(first, _first_fall(poly, STAGES, 0.0, places))
     return first
 
 
 @inner
-def _series_of_u(force, h, drag, push, u, length, series):  # type: ignore[no-untyped-def]
+def _series_of_u(force: Floats, h: float, drag: float, push: float, u: float, length: float, series: Floats) -> int:
     """The powers of u over a length h, scaled to it: (k + 1) u_k+1 = -R h u_k - h F_k - h mu s, the last for k = 0.
 
     `drag` is R h and `push` is h (F + mu s) at the start: a block that is let go at |F| = mu has none, to the last
@@ -130,8 +131,15 @@ def _series_of_u(force, h, drag, push, u, length, series):  # type: ignore[no-un
 
 
 @inner
-def _gather(moments, local, moved, piece, belt, slip):  # type: ignore[no-untyped-def]
-    """Add a piece, which begins `moved` from the start of the macro step, to the moments of z.
+def _gather(
+    moments: Floats,
+    local: Floats,
+    travel: float,
+    piece: tuple[float, float, float],
+    belt: float,
+    slip: tuple[Floats, int, float],
+) -> float:
+    """Add a piece, which begins `travel` from the start of the macro step, to the moments of z.
 
     Returns how far the block moves on it. Its `slip` is a share of a series; where it sticks the order is -1. `local`
     is workspace.
@@ -139,7 +147,7 @@ def _gather(moments, local, moved, piece, belt, slip):  # type: ignore[no-untype
     (x, length, h), (series, order, share) = piece, slip
     by_belt = h * length * belt
     for q in range(STAGES):
-        local[q] = moved * _MOMENTS[0, q] + by_belt * _MOMENTS[1, q]
+        local[q] = travel * _MOMENTS[0, q] + by_belt * _MOMENTS[1, q]
     by_slip, power = 0.0, h * length
     for k in range(order + 1):
         term = power * series[k] * _MOMENTS[k, 0]
@@ -159,7 +167,14 @@ def _gather(moments, local, moved, piece, belt, slip):  # type: ignore[no-untype
 
 
 @inner
-def _keep(pieces, changes, place, piece, series, order):  # type: ignore[no-untyped-def]
+def _keep(
+    pieces: Substeps,
+    changes: Changes,
+    place: int,
+    piece: tuple[int, float, float, float, float],
+    series: Floats,
+    order: int,
+) -> None:
     """Store a piece as a substep, and its series; where it sticks the order is -1."""
     i, x, length, share, z = piece
     pieces.block[place], pieces.start[place], pieces.length[place], pieces.z[place] = i, x, length, z
@@ -169,10 +184,10 @@ def _keep(pieces, changes, place, piece, series, order):  # type: ignore[no-unty
 
 
 @inner
-def _solve_block(work, i, h, n_pieces):  # type: ignore[no-untyped-def]
+def _solve_block(work: Workspace, i: int, h: float, n_pieces: int) -> int:
     """Solve block i on the macro step; returns the number of pieces so far, of all blocks, or -1 - i if it fails."""
     block, pieces, changes, scratch = blocks(work.table), work.substeps, work.changes, room(5, 24)
-    force, series, poly, found, moments = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
+    force, series, poly, places, moments = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
     damping, mu, static, belt = block.damping[i], block.friction[i], block.static[i], block.belt[i]
     u, z, mode, x, z0 = block.u0[i], block.z0[i], block.mode[i], 0.0, block.z0[i]
     is_let_go, lag = False, 0.0
@@ -185,7 +200,7 @@ def _solve_block(work, i, h, n_pieces):  # type: ignore[no-untyped-def]
             break
         event, order = _NOTHING, -1
         if mode == 0.0:
-            first = _until_exit(force, static, left, poly, found)
+            first = _until_exit(force, static, left, poly, places)
             event = _EXIT if first < _NEVER else _NOTHING
         else:
             if abs(damping) * h * left > control.LONGEST_SERIES:
@@ -194,7 +209,7 @@ def _solve_block(work, i, h, n_pieces):  # type: ignore[no-untyped-def]
             order = _series_of_u(force, h, h * left * damping, push, u, left, series)
             for k in range(order + 1):
                 poly[k] = mode * series[k]
-            first = _first_fall(poly, order, control.AT_BELT * abs(belt), found)
+            first = _first_fall(poly, order, control.AT_BELT * abs(belt), places)
             event = _STOP if first < _NEVER else _NOTHING
         share = first if event != _NOTHING else 1.0
         length = share * left
@@ -236,10 +251,10 @@ def _solve_block(work, i, h, n_pieces):  # type: ignore[no-untyped-def]
 
 
 @inner
-def solve_exactly(model, work, h):  # type: ignore[no-untyped-def]
+def solve_exactly(model: Model, work: Workspace, h: float) -> tuple[int, int]:
     """Solve every block on a macro step, F at the nodes given; see `substeps.solve_blocks`."""
     block, n = blocks(work.table), len(work.is_split)
-    n_split, n_pieces = np.int64(0), np.int64(0)
+    n_split, n_pieces = 0, 0
     work.changes.n[0] = 0
     for first in range(0, n, WIDTH):
         slides = slide(block, first, model.law)
@@ -255,7 +270,7 @@ def solve_exactly(model, work, h):  # type: ignore[no-untyped-def]
 
 
 @inner
-def slip_at(changes, place, inside):  # type: ignore[no-untyped-def]
+def slip_at(changes: Changes, place: int, inside: float) -> tuple[float, float]:
     """u at a share of a piece, and its mean since the piece began."""
     series, order, x = changes.series[place], changes.order[place], changes.share[place] * inside
     u, mean = 0.0, 0.0
@@ -265,7 +280,7 @@ def slip_at(changes, place, inside):  # type: ignore[no-untyped-def]
 
 
 @inner
-def record_changes(work, span, error, events, n_recorded):  # type: ignore[no-untyped-def]
+def record_changes(work: Workspace, span: Span, error: float, events: Events, n_recorded: int) -> int:
     """Record the changes of mode on a macro step, `error` that of w; returns how many are recorded."""
     changes, mode, block = work.changes, work.modes[0], blocks(work.table)
     copy(mode, work.modes_before)

@@ -74,7 +74,7 @@ class WaveformRuns(Several):
         self.single_rates = control.single_rate(block.row_sum.max(axis=1))
         return steps
 
-    def goal(self, drive: Drive) -> Control:
+    def goal(self, drive: Drive) -> Control[Floats]:
         longest = min(self.longest, np.pi / drive.fastest) if drive.fastest > 0 else self.longest
         instant = -1.0
         if drive.is_instant:

@@ -17,14 +17,26 @@ import numpy as np
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.forcing import value_at
 from stickslip.sim.engines.frame import Way, frame
+from stickslip.sim.engines.loop import Events, State
+from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.engines.waveform import control as limits
 from stickslip.sim.engines.waveform.collocation import force, force_changed, predict
-from stickslip.sim.engines.waveform.control import Solution, grow, is_in_single_range, next_step, shrink, single_limit
-from stickslip.sim.engines.waveform.events import Span, note_all_stuck, sample, step_events, until
-from stickslip.sim.engines.waveform.layout import blocks, shared
+from stickslip.sim.engines.waveform.control import (
+    Control,
+    Solution,
+    grow,
+    is_in_single_range,
+    next_step,
+    shrink,
+    single_limit,
+)
+from stickslip.sim.engines.waveform.events import note_all_stuck, sample, step_events, until
+from stickslip.sim.engines.waveform.layout import Blocks, Exact, Model, Shared, Span, Workspace, blocks, shared
+from stickslip.sim.engines.waveform.matrices import Matrix
 from stickslip.sim.engines.waveform.pieces import record_changes, solve_exactly
 from stickslip.sim.engines.waveform.substeps import keep_substeps, probe_blocks, solve_blocks
 from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arguments import Floats, Ints
 from stickslip.sim.numerics.arithmetic import copy, largest
 from stickslip.sim.numerics.lanes import WIDTH
 from stickslip.sim.numerics.panels import products
@@ -35,7 +47,7 @@ _products, _single_products = products(STAGES), products(STAGES, single=True)
 
 
 @inner
-def _set_tolerance(exact, block, common, n):  # type: ignore[no-untyped-def]
+def _set_tolerance(exact: Exact | None, block: Blocks, common: Shared, n: int) -> None:
     """Under the set-valued law the error allowed is that of w, over the fastest of all blocks and belts."""
     if exact is not None:
         common.unit[0] = 1.0
@@ -46,7 +58,7 @@ def _set_tolerance(exact, block, common, n):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _predict_step(model, work, clock, h):  # type: ignore[no-untyped-def]
+def _predict_step(model: Model, work: Workspace, clock: Floats, h: float) -> None:
     """Begin a macro step after the last one: predict F and u at the nodes, and mark blocks that take substeps."""
     block, common, n = blocks(work.table), shared(work.shared), len(work.is_split)
     for k in range(STAGES):
@@ -67,7 +79,7 @@ def _predict_step(model, work, clock, h):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _times(matrix, x, y):  # type: ignore[no-untyped-def]
+def _times(matrix: Matrix, x: Floats, y: Floats) -> None:
     """y_k = K x_k at all nodes, K in panels or, when these are none, by sparse rows."""
     if len(matrix.panels) > 0:
         _products(matrix.panels, x, y)
@@ -86,7 +98,7 @@ def _times(matrix, x, y):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _product_of_change(model, work, control, limit):  # type: ignore[no-untyped-def]
+def _product_of_change(model: Model, work: Workspace, control: Control[float], limit: float) -> bool:
     """K times the change of z in single precision; False, with no result, if it would not be accurate enough."""
     block, single, single_product = blocks(work.table), work.single, work.single_product
     n, product = len(work.is_split), block.product
@@ -109,7 +121,7 @@ def _product_of_change(model, work, control, limit):  # type: ignore[no-untyped-
 
 
 @inner
-def _add_cross(model, work):  # type: ignore[no-untyped-def]
+def _add_cross(model: Model, work: Workspace) -> None:
     """Add N times u, of a block that took substeps its L2 projection, to the product."""
     block, product, n = blocks(work.table), work.product, len(work.is_split)
     for k in range(STAGES):
@@ -122,7 +134,9 @@ def _add_cross(model, work):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _couple(model, work, control, is_first, limit):  # type: ignore[no-untyped-def]
+def _couple(
+    model: Model, work: Workspace, control: Control[float], is_first: bool, limit: float
+) -> tuple[float, float]:
     """F from z (and u) at the nodes. Returns the changes of w by that of F and by its tail, over tolerance."""
     block, n = blocks(work.table), len(work.is_split)
     may_add = not is_first and len(model.stiffness.single_panels) > 0 and not model.has_cross
@@ -147,7 +161,9 @@ def _couple(model, work, control, is_first, limit):  # type: ignore[no-untyped-d
 
 
 @inner
-def _solve_blocks(model, exact, work, h, is_last, n_before):  # type: ignore[no-untyped-def]
+def _solve_blocks(
+    model: Model, exact: Exact | None, work: Workspace, h: float, is_last: bool, n_before: int
+) -> tuple[int, int]:
     """By the law: see `substeps.solve_blocks`. A smooth one repeats the substeps of the last iteration."""
     if exact is None:
         keep_substeps(work, n_before)
@@ -157,7 +173,7 @@ def _solve_blocks(model, exact, work, h, is_last, n_before):  # type: ignore[no-
 
 
 @inner
-def _probe_blocks(model, exact, work, n_split):  # type: ignore[no-untyped-def]
+def _probe_blocks(model: Model, exact: Exact | None, work: Workspace, n_split: int) -> int:
     """By the law: see `substeps.probe_blocks`. Nothing bends the set-valued law between the nodes."""
     if exact is None:
         return probe_blocks(model.law, work, n_split)
@@ -166,7 +182,16 @@ def _probe_blocks(model, exact, work, n_split):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _step_events(model, exact, work, clock, solution, span, events, n_recorded):  # type: ignore[no-untyped-def]
+def _step_events(
+    model: Model,
+    exact: Exact | None,
+    work: Workspace,
+    clock: Floats,
+    solution: Solution,
+    span: Span,
+    events: Events,
+    n_recorded: int,
+) -> int:
     """By the law: see `events.step_events`. Under the set-valued law the error of w goes on."""
     if exact is None:
         return step_events(model, work, solution.n_substeps, span, events, n_recorded)
@@ -178,7 +203,9 @@ def _step_events(model, exact, work, clock, solution, span, events, n_recorded):
 
 
 @inner
-def _solve_waveform(model, work, control, clock, counters, h):  # type: ignore[no-untyped-def]
+def _solve_waveform(
+    model: Model, work: Workspace, control: Control[float], clock: Floats, counters: Ints, h: float
+) -> Solution:
     """Iterate: solve the blocks, and compute F from them, until F has converged.
 
     The last iteration takes no product if the contraction makes the next change of F too small to matter. If the tail
@@ -186,7 +213,7 @@ def _solve_waveform(model, work, control, clock, counters, h):  # type: ignore[n
     """
     most_left = min(1.0, (limits.ITERATED / control.safety) ** 2)
     tail, contraction, last = 0.0, clock[limits.CONTRACTION], np.inf
-    n_substeps, n_split, is_last, converged = np.int64(0), np.int64(0), False, False
+    n_substeps, n_split, is_last, converged = 0, 0, False, False
     for iteration in range(limits.MOST_ITERATIONS):
         n_split_before = n_split
         n_split, n_substeps = _solve_blocks(model, model.exact, work, h, is_last, n_substeps)
@@ -208,11 +235,11 @@ def _solve_waveform(model, work, control, clock, counters, h):  # type: ignore[n
             break
         is_last = iteration > 0 and moved * now < enough
         last, contraction = moved, now
-    return Solution(converged, tail, contraction, n_substeps)  # type: ignore[arg-type]
+    return Solution(converged, tail, contraction, n_substeps)
 
 
 @inner
-def _reject(work, clock, counters, solution, h):  # type: ignore[no-untyped-def]
+def _reject(work: Workspace, clock: Floats, counters: Ints, solution: Solution, h: float) -> None:
     """Shorten the step, note which block caused its failure, and undo its changes."""
     counters[loop.N_REJECTED] += 1
     counters[loop.LAST_BLOCK] = _worst(work) if solution.n_substeps >= 0 else -1 - solution.n_substeps
@@ -221,7 +248,7 @@ def _reject(work, clock, counters, solution, h):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _worst(work):  # type: ignore[no-untyped-def]
+def _worst(work: Workspace) -> int:
     """The block whose F has the largest error."""
     block, worst, most = blocks(work.table), 0, 0.0
     for i in range(len(work.is_split)):
@@ -232,7 +259,7 @@ def _worst(work):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _accept(work, state, h):  # type: ignore[no-untyped-def]
+def _accept(work: Workspace, state: State, h: float) -> None:
     """Go to the end of a macro step."""
     block = blocks(work.table)
     for i in range(len(work.is_split)):
@@ -258,17 +285,21 @@ class Window(NamedTuple):
 
 
 @inner
-def _blank():  # type: ignore[no-untyped-def]
+def _blank() -> Window:
     return Window(0.0, True)
 
 
 @inner
-def _open(model, work, goal, state, window, remaining):  # type: ignore[no-untyped-def]
+def _open(
+    model: Model, work: Workspace, goal: Control[float], state: State, window: Window, remaining: float
+) -> Window:
     return Window(next_step(goal, state.clock), window.may_grow)
 
 
 @inner
-def _note(model, work, goal, state, events, n_recorded):  # type: ignore[no-untyped-def]
+def _note(
+    model: Model, work: Workspace, goal: Control[float], state: State, events: Events, n_recorded: int
+) -> tuple[int, bool]:
     """Whether all blocks slip in one direction; a macro step records its events itself."""
     mode = state.mode
     same = mode[0] != 0
@@ -278,13 +309,23 @@ def _note(model, work, goal, state, events, n_recorded):  # type: ignore[no-unty
 
 
 @inner
-def _at(model, work, goal, state, window, t):  # type: ignore[no-untyped-def]
+def _at(model: Model, work: Workspace, goal: Control[float], state: State, window: Window, t: float) -> None:
     counters = state.counters
     counters[loop.N_SAMPLED] = sample(model, work, 0, Span(t, 1.0, t), state.samples, counters[loop.N_SAMPLED])
 
 
 @inner
-def _carry(model, work, goal, state, window, is_after_event, precheck, events, n_recorded):  # type: ignore[no-untyped-def]
+def _carry(
+    model: Model,
+    work: Workspace,
+    goal: Control[float],
+    state: State,
+    window: Window,
+    is_after_event: bool,
+    precheck: Precheck,
+    events: Events,
+    n_recorded: int,
+) -> tuple[Window, int, bool]:
     """Take a macro step, if it can be solved; see `frame.Way`."""
     clock, counters, t, h = state.clock, state.counters, state.clock[loop.TIME], window.h
     _predict_step(model, work, clock, h)

@@ -83,8 +83,8 @@ def _image(figures: dict[str, Drawn], name: str, alt: str) -> Markup:
     return Markup('<img src="{}" alt="{}">').format(figures[name].panel.address, alt)
 
 
-def frame(rows: Sequence[Any], of: type) -> pd.DataFrame:
+def frame(rows: Sequence[Any], row_type: type) -> pd.DataFrame:
     """Dataclasses as the rows of a table; whole numbers stay whole where some are null."""
-    hints = get_type_hints(of)
+    hints = get_type_hints(row_type)
     integers = {name: "Int64" for name, hint in hints.items() if hint == int | None}
     return pd.DataFrame(map(asdict, rows), columns=list(hints)).astype(integers)

@@ -133,8 +133,8 @@ def _judged(row: Row, solution: Solution, reference: Solution, floor: float) -> 
     row = replace(row, error=max(error, floor), is_bound=error <= floor)
     if solution.events is None or reference.events is None:
         return row
-    parted_at, apart = compared(solution.events, reference.events)
-    return replace(row, parted_at=parted_at, apart=apart)
+    parted_at, distance = compared(solution.events, reference.events)
+    return replace(row, parted_at=parted_at, apart=distance)
 
 
 def compared(found: sim.EventSeries, reference: sim.EventSeries) -> tuple[float | None, float]:
