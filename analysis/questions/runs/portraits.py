@@ -75,9 +75,11 @@ def pictures(study: Study, grid: Grid) -> dict[str, Picture]:
 def _typical(study: Study, grid: Grid, kind: str) -> tuple[Setting, int, int] | None:
     """The run of a kind whose number is nearest the median of all, with its setting, and how many these are."""
     pairs = [
-        (setting, int(row)) for setting in grid.settings if setting.is_recorded
+        (setting, int(row))
+        for setting in grid.settings
+        if setting.is_recorded
         for row in setting.runs.rows[setting.runs.kinds == kind]
-    ]  # fmt: skip
+    ]
     if not pairs:
         return None
     numbers = study.number(_LOOKS[kind].number)[[row for _, row in pairs]]
