@@ -68,10 +68,14 @@ def _arrays(kind: type[Reader], content: bytes, allowed: Sequence[str], matrix: 
         )
     values: dict[str, Any] = {matrix: _shaped(matrix, reader.read(called[matrix]))}
     n = max(values[matrix].shape, default=1)
-    arrays = {
-        name: _shaped(name, reader.read(called[name], n * n if name in ("damping", "mass") else n))
-        for name in sorted(others - {*strange})
-    } if allowed else {}  # fmt: skip
+    arrays = (
+        {
+            name: _shaped(name, reader.read(called[name], n * n if name in ("damping", "mass") else n))
+            for name in sorted(others - {*strange})
+        }
+        if allowed
+        else {}
+    )
     return arrays | texts | values | ({"parameters": parameters} if parameters else {})
 
 

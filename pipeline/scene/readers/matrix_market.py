@@ -39,8 +39,10 @@ class MatrixMarket(Reader):
             ):
                 pass
             case _:
-                raise ValueError(f"expected `%%MatrixMarket matrix`, coordinate or array, {', '.join(_FIELDS)}, and"
-                                 f" {', '.join(_SYMMETRIES)}, got {' '.join(banner)!r}")  # fmt: skip
+                raise ValueError(
+                    f"expected `%%MatrixMarket matrix`, coordinate or array, {', '.join(_FIELDS)}, and"
+                    f" {', '.join(_SYMMETRIES)}, got {' '.join(banner)!r}"
+                )
         head = next((line for line in lines if line.strip() and not line.startswith(b"%")), b"")
         if not re.fullmatch(rb"(\s*\d{1,15}){%d}\s*" % (3 if layout == "coordinate" else 2), head):
             raise ValueError(f"expected a line of the sizes of the matrix, got {head[:60]!r}")

@@ -116,8 +116,10 @@ def _npy(name: str, stream: IO[bytes], size: int, kinds: str = "iuf") -> np.ndar
     with warnings.catch_warnings(action="error"):  # of a header that NumPy would guess at
         shape, is_fortran, kind = readers[version](stream, max_header_size=_MAX_HEADER)
     if kind.kind not in kinds:
-        raise ValueError(f"{name}: expected an array of {'text' if kinds in 'SU' else 'real numbers'}, got one of"
-                         f" type {kind}; pickles are not read")  # fmt: skip
+        raise ValueError(
+            f"{name}: expected an array of {'text' if kinds in 'SU' else 'real numbers'}, got one of"
+            f" type {kind}; pickles are not read"
+        )
     claimed, n_bytes = math.prod(shape) * kind.itemsize, size - stream.tell()
     if min(shape, default=0) < 0 or claimed != n_bytes:
         raise ValueError(f"{name}: expected {claimed} bytes, for the shape {shape} of {kind}, got {n_bytes}")
