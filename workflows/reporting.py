@@ -56,6 +56,10 @@ _UNASKED = (
     "n_steps", "n_rejected", "n_products", "drawn", *(column.name for column in DESIGN),
 )  # fmt: skip
 
+#: Beyond this a number counts as none: float64 does not hold the products of which statistics are sums.
+_LARGEST = 1e100
+_BEYOND = f"beyond {_LARGEST:g}, of which there are no statistics"
+
 #: Who puts the questions of a dataset: the dataset, its study, and whom to tell how many are answered.
 Asking = Callable[[Opened, Study, Callable[[int, int], None]], list[Answered | None]]
 
@@ -75,7 +79,11 @@ def _data(opened: Opened, whole: bool = False) -> Data:
 
     def prepared(part: pd.DataFrame, coordinates: Coordinates) -> pd.DataFrame:
         for name, columns in values.items():
-            columns.append(part[name].to_numpy(np.float64, na_value=np.nan))
+            numbers = part[name].to_numpy(np.float64, na_value=np.nan)
+            is_beyond = np.abs(numbers) > _LARGEST
+            if is_beyond.any():
+                problems.setdefault(name, {}).update(dict.fromkeys(part["member_id"][is_beyond], _BEYOND))
+            columns.append(np.where(is_beyond, np.nan, numbers))
         if own:
             failed = part[part["own_problem"].notna()]
             # data of an earlier version do not say of which columns: of any

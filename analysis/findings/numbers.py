@@ -14,7 +14,7 @@ MINUS = "\u2212"
 MOST_DIGITS = 9  # of a share that is nearly all
 DIGITS = 3  # of a number without an interval
 SAME = 1e-6  # relative width of an interval that is none: all units have the same value
-MOST_DECIMALS = 6  # beyond, a number is written with a power of ten
+MOST_DECIMALS, MOST_PLACES = 6, 12  # beyond, a number is written with a power of ten
 _ROUNDING = 1e-12
 _SUPERSCRIPTS = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")
 
@@ -66,9 +66,10 @@ def bare(value: float, form: Form = Form.NUMBER, digits: int | None = None, sign
     places = decimals(Estimate(value), form) if digits is None else digits
     while form is Form.SHARE and value < 1.0 and round(scaled, places) == 100.0 and places < MOST_DIGITS:
         places += 1  # what is not all is not said to be
-    if places > MOST_DECIMALS and scaled:
-        power = _exponent(abs(scaled))
-        text = f"{scaled / 10.0**power:.{max(1, places + power)}f} \u00d7 10{str(power).translate(_SUPERSCRIPTS)}"
+    power = _exponent(abs(scaled)) if scaled else 0
+    if (places > MOST_DECIMALS and scaled) or power >= MOST_PLACES:
+        shown = max(1, places + power) if power < MOST_PLACES else DIGITS - 1
+        text = f"{scaled / 10.0**power:.{shown}f} \u00d7 10{str(power).translate(_SUPERSCRIPTS)}"
     else:
         text = f"{scaled:,.{places}f}"
     if round(scaled, places) == 0.0:

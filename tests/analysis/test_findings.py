@@ -88,6 +88,7 @@ def test_one_of_many_comparisons_needs_an_adjusted_p_value_too():
         (Estimate(-0.013, -0.02, -0.006), Form.NUMBER, "\u22120.0130 (\u22120.0200 to \u22120.0060)"),
         (Estimate(12345.0, 12000.0, 12700.0), Form.NUMBER, "12,345 (12,000 to 12,700)"),
         (Estimate(3e-9, 2e-9, 4e-9), Form.NUMBER, f"3.0{NANO} (2.0{NANO} to 4.0{NANO})"),
+        (Estimate(2.5e90), Form.NUMBER, "2.50 \u00d7 10\u2079\u2070"),
     ],
 )  # fmt: skip
 def test_numbers_have_two_digits_of_their_interval(estimate, form, text):

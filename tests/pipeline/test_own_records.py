@@ -284,6 +284,15 @@ def test_what_is_lost_is_known_by_column(text, tmp_path):
     assert study.data.recorded["own"].most == 1.0
 
 
+def test_a_number_whose_square_float64_does_not_hold_has_no_statistics(text, tmp_path):
+    scene = load_scene(written(tmp_path, short(text), one("return Measured(1e300 if system.n == 3 else 1e90)")))
+    run_ensemble(scene, tmp_path / "out", workers=0)
+    study = study_of(tmp_path / "out")
+    numbers = dict(zip(study.data.members["n"], study.number("own"), strict=True))
+    assert numbers == {3: pytest.approx(np.nan, nan_ok=True), 4: 1e90}
+    assert {*study.data.recorded["own"].problems.values()} == {"beyond 1e+100, of which there are no statistics"}
+
+
 def test_the_command_says_what_has_no_value(text, tmp_path, monkeypatch, capsys):
     written(tmp_path, short(text), one("return Measured(1 / (4 - system.n))"))
     monkeypatch.chdir(tmp_path)
