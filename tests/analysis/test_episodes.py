@@ -10,7 +10,7 @@ import pytest
 from stickslip.analysis import Study, build, measures
 from stickslip.analysis import catalogue as as_catalogue
 from stickslip.analysis.findings.alerts import Code
-from stickslip.analysis.findings.finding import Change, Fit, Law, Level, Outcomes, Reason, Verdict
+from stickslip.analysis.findings.finding import Change, Fit, KeyChange, Law, Level, Outcomes, Reason, Verdict
 from stickslip.analysis.models.episodes import (
     CREEP,
     OCCUPANCY,
@@ -268,7 +268,7 @@ def test_what_changes_with_the_number_of_blocks_has_a_verdict(planted_episodes, 
         (episodes.WORDS[SIZE], Verdict.MORE),
         (episodes.BY_TRAVEL, Verdict.LESS),
     ]
-    assert {change.keys for change in changes} == {(("n", "100", "200", False),)}
+    assert {change.keys for change in changes} == {(KeyChange("n", "100", "200"),)}
     relative = [change.difference.estimate.value for change in changes]
     assert relative == pytest.approx([1.0, -0.5], abs=0.1)
     alike, _ = of_kind(asked(replace(data, episodes=data.episodes.assign(size=2)), settings), Change)
@@ -352,7 +352,7 @@ def test_methods_are_held_against_exact_events(planted_episodes, planted, settin
         "sigmoid with eps = 0.01", -1.0
     )  # fmt: skip
     assert undecided.undecided == ("sigmoid with eps = 1e-5",)
-    assert undecided.largest.comparison.difference.verdict is Verdict.OPEN
+    assert undecided.largest.comparison.difference.verdict in (Verdict.OPEN, Verdict.OPEN_AMONG_MANY)
     levels = [level for level in of_kind(answer, Level) if level.quantity is episodes.WORDS[RATE]]
     rates = {re.sub(", (ratio|stick) = [^,]*", "", str(level.where)): level for level in levels}
     off = {where: level.comparison.difference for where, level in rates.items() if where != "exact"}

@@ -10,7 +10,7 @@ from scipy import special
 
 from stickslip.analysis import Study, build, measures
 from stickslip.analysis.ensemble import Recorded
-from stickslip.analysis.findings.finding import Change, Verdict
+from stickslip.analysis.findings.finding import Change, Course, Verdict
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.grid import balanced
 from stickslip.analysis.page.comparison import Ensemble, compare
@@ -285,7 +285,7 @@ def test_rate_size_and_b_of_episodes_lead_and_b_only_where_it_holds(recorded, se
     assert list(rows_of(answer, "b of episodes").index) == ["-0.2"], "no trend to where no b holds"
     assert rows_of(answer, "rate of episodes").loc["-0.1", "verdict"] == Verdict.LESS
     leading = [sentence(finding) for finding in answer.findings[: answer.n_lead]]
-    assert re.match(r"b-value of the episodes \(M = 0.0 to \S+\) goes from 0\.", leading[0])
+    assert re.match(r"b-value of the episodes \(M = 0\.\d to \S+\) goes from 0\.", leading[0])
     assert leading[1].startswith("Rate of episodes falls from 1."), "no change of b is shown"
     lacks = " is not given at {} of 3 points: "
     assert lacks.format(1) + "no power law is shown" in alerts(answer)
@@ -317,8 +317,10 @@ def test_what_is_beyond_both_ends_of_a_key_is_told(recorded, settings):
     """A resonance: at the middle speed five times as much as at the first, at the last half as much."""
     at = {-0.3: 1.0, -0.2: 5.0, -0.1: 0.5}
     answer = changes_of(Study(recorded({"swing": lambda rng, m, v: at[v] + 0.01 * rng.normal()}), settings))
-    found = {one.keys[0].second: one.difference.verdict for one in answer.findings[: answer.n_lead]}
-    assert found == {"-0.2": Verdict.MORE, "-0.1": Verdict.LESS}
+    (change,) = answer.findings[: answer.n_lead]
+    assert (change.keys[0].second, change.difference.verdict) == ("-0.1", Verdict.LESS)
+    assert change.turn.course is Course.MAXIMUM
+    assert change.turn.estimate.value == pytest.approx(5.0, abs=0.05)
     steady = recorded({"swing": lambda rng, m, v: 5.0 + 10 * v + 0.01 * rng.normal()})
     assert changes_of(Study(steady, settings)).n_lead == 1
 

@@ -149,7 +149,7 @@ def test_what_ships_explains_its_keys(name):
     [
         ("fig3", "figure 3 of the paper"),
         ("scaling", "6 random systems with either engine and 5 chains"),
-        ("speed_accuracy", "11 methods on 6 problems"),
+        ("speed_accuracy", "12 methods on 6 problems"),
         ("stability", " cells, in one process"),
     ],
 )
