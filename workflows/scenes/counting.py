@@ -156,7 +156,7 @@ def _picture(groups: Sequence[Counted], lead: Counted, unit: str) -> Picture:
     return Picture(
         partial(by_number, groups),
         "Coupling sets runs apart from time-shifted blocks, and each block's own dynamics time-shifted from "
-        f"two-state blocks. Below: times n p (1 − p), which levels finite size; a share p sticks.{faint}",
+        f"two-state blocks. Below: times n p (1 − p), p the share that sticks: finite size is constant.{faint}",
     )
 
 

@@ -44,8 +44,8 @@ _METHOD = (
 #: What counts as sticking under a smoothed law, where further thresholds are compared.
 _CRITERIA = {
     "manifold": " Smoothed blocks stick while they are on the slow manifold; with a threshold, while |w - v| <"
-    " threshold eps.",
-    "threshold": " Smoothed blocks stick while |w - v| < threshold eps.",
+    " threshold \u00d7 eps.",
+    "threshold": " Smoothed blocks stick while |w - v| < threshold \u00d7 eps.",
 }
 #: Sums of each statistic of the runs of a group, by its label, under a further threshold of sticking.
 _Thresholds: TypeAlias = Mapping[tuple[str, float], Mapping[str, UnitSums]]
@@ -79,7 +79,7 @@ def answer(study: Study) -> Answer | None:
     unit, scope = noun(study.unit), ""
     if study.data.episodes is not None:
         scope = "sticking blocks and slip onsets"
-    lead, levels, in_figure = list[Finding](), list[Finding](), list[Step]()
+    lead, levels, in_figure, title = list[Finding](), list[Finding](), list[Step](), ""
     for kind in _NOUNS:
         by_other: dict[str, list[Step]] = {}
         for pair, step in judged:
@@ -90,8 +90,9 @@ def answer(study: Study) -> Answer | None:
             lead += outcomes(reference, steps_beside, unit, _NOUNS[kind], scope)
             steps_beside.sort(key=lambda step: not step.contrast.is_shown)
             levels += [step.level(reference, unit) for step in steps_beside]
-            in_figure = in_figure or steps_beside
-    figures = forest(in_figure, "Differences from the reference")
+            if not in_figure:
+                in_figure, title = steps_beside, f"Differences from {reference}"
+    figures = forest(in_figure, title)
     lack = few("how far the engines differ", max(step.contrast.n_first for step in steps))
     criteria = {str(pair.group.key["stick"]) for pair in pairs if pair.threshold is not None}
     method = _METHOD + "".join(_CRITERIA.get(stick, "") for stick in sorted(criteria)[:1])

@@ -91,7 +91,7 @@ def pictures(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> dict[st
             figures |= _maps(grid, study.settings.units)
         elif len(settings) > 1:
             counts = {kind: [setting.runs.n_of(kind) for setting in settings] for kind in OUTCOMES}
-            caption = "One colour: all runs end alike. Shares of runs by what they do at the end, at each setting."
+            caption = "In a bar of one colour all runs end alike. Shares of runs by what they do at the end."
             key, values = _names(grid, settings)
             figures["fates"] = Picture(
                 partial(shares, study.settings.units.label_of_key(key), values, counts), caption
@@ -301,7 +301,7 @@ def _survival(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> Pictur
     ends = [words for kind, words in ((SLIDING, "settle"), (ESCAPING, "grow without limit")) if kind in kinds]
     see = f"Curves fall as runs {listed(ends, 'or')}. " if ends else ""
     count = f" {len(chosen)} of {len(settings)} settings are drawn." * (len(chosen) < len(settings))
-    caption = f"{see}Share of runs that have not ended{level}.{count}"
+    caption = f"{see}Share of runs still going{level}.{count}"
     return Picture(partial(survival_curves, named_curves, t_end, study.settings.units), caption)
 
 
@@ -320,7 +320,7 @@ def survival_curves(ax: Axes, curves: Mapping[str, Curve], t_end: float, units: 
         ax.step(t, share, where="post", color=hue, label=label)
         if _has_band(curve):
             ax.fill_between(t, low, high, share < 1.0, step="post", color=hue, alpha=0.15, linewidth=0)
-    ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), ylabel="share of runs not ended")
+    ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), ylabel="share of runs still going")
     ax.set_xlabel(units.label("time t", "time"))
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
     if len(curves) > 1:

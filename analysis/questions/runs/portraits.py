@@ -64,7 +64,7 @@ def pictures(study: Study, grid: Grid) -> dict[str, Picture]:
         called = settings.names[block] if settings.names else f"block {block}"
         which = f", whose {look.words} is nearest the median of {plural(n_runs, 'run')}" if n_runs > 1 else ""
         caption = (
-            f"{look.see} From above: phase portrait, velocity and its spectrum, of {called} in run {name}{which}."
+            f"{look.see} Top to bottom: phase portrait, velocity and its spectrum, of {called} in run {name}{which}."
             " Broad lines: it sticks."
         )
         recipe = partial(portrait, *motion, block, turn, look.turns, settings.units)

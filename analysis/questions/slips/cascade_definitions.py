@@ -23,8 +23,8 @@ from stickslip.pipeline.design.units import DIMENSIONLESS, Units
 
 _CAPTION = (
     "By other definitions of a cascade the decay rate depends on the sampling step. Size by drop: the fall of n_stick"
-    " over successive samples that fall; by length: the number of these samples; by descent and decreases: the same"
-    " where samples may also stay level. Band: slip onsets, without sampling."
+    " over successive samples that fall; by length: the number of these samples; by descent and decreases: the drop"
+    " and the length where samples may also stay level. Band: slip onsets, without sampling."
 )
 
 

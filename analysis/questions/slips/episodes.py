@@ -116,7 +116,7 @@ APART = Quantity("apart", "Kolmogorov-Smirnov distance between magnitudes")
 B_VALUE = Quantity("b", "b-value")
 MOMENT = Quantity("moment", "mean moment", dimension="length")
 BY_TRAVEL = Quantity("by_travel", "number of episodes per block and unit of belt travel")
-_POISSON = "a Poisson process's 1"
+_POISSON = "1, that of a Poisson process"
 _REASONS: Mapping[str, Reason] = {
     enough.FEW_MATRICES: Reason.FEW_UNITS,
     enough.FEW_CASCADES: Reason.FEW_EPISODES,
