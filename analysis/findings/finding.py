@@ -457,6 +457,7 @@ class Bound(StrEnum):
     """How the end of a stretch of a key is known."""
 
     SETTING = "setting"  #: the last value that was run
+    FOLLOWED = "the last value to which it was followed"  #: no run begins there; it may attract beyond
     STABILITY = "linear stability"  #: an eigenvalue of steady sliding crosses
     MULTIPLIER = "instability of the cycle"  #: its multiplier comes to 1
     GRAZING = "grazing of the cycle"  #: a block of it only touches its belt's speed

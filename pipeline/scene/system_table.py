@@ -336,11 +336,32 @@ def _either_files(schema: dict[str, Any]) -> None:
     schema |= {"if": of_files, "then": {"required": required}, "else": {"required": [*required, "n"]}}
 
 
+#: What files may give of a system.
+_ARRAYS = ("stiffness", *OF_BLOCKS, "z0", "w0")
+
+
+def _path(given: Any) -> Any:
+    """A file, or a table with a file for each array, by its name."""
+    names = given if isinstance(given, dict) else {}
+    strange = next((name for name in names if name not in _ARRAYS), None)
+    if strange is not None:
+        raise ValueError(
+            f"expected files of {', '.join(_ARRAYS)}, got one of {shown(strange)}; write e.g."
+            ' {stiffness = "K.csv", damping = "C.csv"}'
+        )
+    if given is not None and not all(isinstance(file, str) for file in (names.values() if names else [given])):
+        raise ValueError(f'expected the name of a file, got {shown(given)}; write e.g. path = "K.npz"')
+    return given
+
+
 def _contacts(given: Any) -> Any:
     """Blocks as a tuple; what is said of contacts besides is refused."""
     blocks = as_tuple(given)
     if isinstance(given, dict) or (isinstance(blocks, tuple) and any(isinstance(block, dict) for block in blocks)):
-        raise ValueError(f"expected the blocks that have friction, got {shown(given)}; {NORMAL_FORCE}")
+        raise ValueError(
+            f'expected the blocks that have friction, as in [system] contacts = ["bit"], got {shown(given)};'
+            f" {NORMAL_FORCE}"
+        )
     return blocks
 
 
@@ -361,7 +382,7 @@ class _Source(StrictTable):
         description="number of blocks, or a list of numbers; with files of K that of these, and may be left out",
         examples=[200],
     )
-    path: str | dict[Literal["stiffness", *OF_BLOCKS, "z0", "w0"], str] | None = Field(  # type: ignore[valid-type]
+    path: Annotated[str | dict[Literal[*_ARRAYS], str], BeforeValidator(_path)] | None = Field(  # type: ignore[valid-type]
         default=None,
         description="file of K, .npz, .npy, Matrix Market, .mat or CSV, or of a graph, beside the scene; or several,"
         " by a pattern; or a table with the file of each array",

@@ -106,7 +106,8 @@ def attractor(run: Run, system: System, t_burn: float = 0.0, *, engine: str = DE
         raise ValueError(f"t_burn: expected a time in [{low}, {high}], got {time}")
     bends = [float(x.times[-1]) for x in (*system.force, system.belt_speed) if isinstance(x, Piecewise)]
     if max(bends, default=-math.inf) > run.t_end:
-        return Attractor("undecided", f"a force or a belt changes until t = {max(bends):g}; lengthen the run")
+        why = "a force, a belt or a drive changes until after the end of the run"  # without times, which have units
+        return Attractor("undecided", f"{why}; end the change, or lengthen the run")
     settings = {name: value for name, value in settings.items() if name != "stop_early"}
     tolerances = as_engine(engine, settings).tolerances
     try:
@@ -268,7 +269,7 @@ class _End:
     def _without_events(self) -> Attractor:
         """A run without events, which may follow a force and have its period."""
         more = "; lengthen the run" if self._frequencies else ""
-        none = Attractor("undecided", f"no event after t = {self._since:g}, and no proof of steady sliding{more}")
+        none = Attractor("undecided", f"no event after t_burn, and no proof of steady sliding{more}")
         if len(self._frequencies) > 1 and self._are_incommensurate():
             grown = self._growth(self._run.t_end - self._since)
             if grown is not None and grown.decays:
@@ -515,7 +516,7 @@ class _End:
         length = self._run.t_end - float(last.t[-min(len(last), _FOLLOWED)])
         events = in_order(self._follow(length, np.empty(0)).events, 0, self._at_once)
         if len(events) < _FEW:
-            return Attractor("undecided", f"few events follow on t = {self._run.t_end:g}; lengthen the run")
+            return Attractor("undecided", "few events follow on the end of the run; lengthen it")
         states = self._path(events, events.t).states
         if is_torus:
             return self._torus(rate, events, states)

@@ -169,7 +169,9 @@ def test_it_is_undecided_with_a_reason():
     turns = System([[2.0, -1.0], [-1.0, 1.5]], 0.1, [1.0, 0.8], -0.2, static=[1.3, 1.0], force=slow)
     assert settled(turns, 0.0, 0.0, 2000.0, 1000.0, tol=1e-8).kind != "periodic"
     turning = System([[1.0]], 0.0, 1.0, Piecewise([0.0, 90.0], [-0.3, -0.2]), static=1.3)
-    assert settled(turning, 0.3, 0.0, 80.0).reason == "a force or a belt changes until t = 90; lengthen the run"
+    assert settled(turning, 0.3, 0.0, 80.0).reason.startswith(
+        "a force, a belt or a drive changes until after the end"
+    )
     fate = settled(turning, 0.3, 0.0, 200.0)
     assert fate.period == pytest.approx(period(0.3, 0.2), rel=1e-10)
 

@@ -62,6 +62,14 @@ class Stop(NamedTuple):
         return to_error(self.value, self.error)
 
 
+class _Limit(NamedTuple):
+    """An end of a stretch in words, how it is known, and as a number where it was refined."""
+
+    words: str
+    by: Bound
+    stop: Stop | None = None
+
+
 def stability(study: Study, grid: Grid) -> list[Stability]:
     """Of each setting of which the critical mode is recorded."""
     if "critical_rate" not in study.data.recorded:
@@ -206,12 +214,11 @@ class _Line(NamedTuple):
         basis = Basis(sum(len(setting.runs.rows) for setting in settings), "run")
         low, high = self._end(nouns, first, -1), self._end(nouns, last, 1)
         levels = [
-            self._level(nouns, verb, end, horizon, basis)
+            self._level(nouns, verb, end.stop, horizon, basis)
             for verb, end in (("begins", low), ("ceases", high))
-            if isinstance(end, Stop) and len(nouns) == 1
+            if end.stop is not None and len(nouns) == 1
         ]
-        low_by, high_by = (end.by if isinstance(end, Stop) else Bound.SETTING for end in (low, high))
-        stretch = str(low), str(high), low_by, high_by
+        stretch = low.words, high.words, low.by, high.by
         return Attracting(nouns, self.key, *stretch, self.where, basis, horizon, tuple(levels))
 
     def _level(self, nouns: tuple[str, ...], verb: str, stop: Stop, horizon: str, basis: Basis) -> Level:
@@ -221,11 +228,12 @@ class _Line(NamedTuple):
         where = self.where + Place.words(f"by {bound_in_words(stop.by, horizon)}")
         return Level(quantity, Estimate(stop.value, *ends), where, basis=basis)
 
-    def _end(self, nouns: tuple[str, ...], k: int, step: int) -> Stop | str:
+    def _end(self, nouns: tuple[str, ...], k: int, step: int) -> _Limit:
         """Where a stretch ends beyond the k-th setting: the nearest end that was refined, or that setting."""
         setting, beyond = self.settings[k], k + step
+        value = in_words(setting.at[0])
         if not self.is_refined or not 0 <= beyond < len(self.settings):
-            return in_words(setting.at[0])
+            return _Limit(value, Bound.SETTING)
         there = self.settings[beyond]
         stops: list[Stop] = []
         if self.is_stable(there) is False and _NOUNS[SLIDING] in nouns:
@@ -233,9 +241,11 @@ class _Line(NamedTuple):
         ends = self.stops(setting, "above" if step > 0 else "below")
         if _STICK_SLIP in nouns and ends and len(ends) == self._n_followed(setting):
             stops.append(max(ends) if step > 0 else min(ends))
-        if not stops:
-            return in_words(setting.at[0])
-        return min(stops) if step > 0 else max(stops)
+        if stops:
+            nearest = min(stops) if step > 0 else max(stops)
+            return _Limit(str(nearest), nearest.by, nearest)
+        is_open = _STICK_SLIP in nouns and self._n_followed(setting) == 0
+        return _Limit(value, Bound.FOLLOWED if is_open else Bound.SETTING)
 
 
 def _lines(study: Study, grid: Grid) -> Iterator[_Line]:
