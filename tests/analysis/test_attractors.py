@@ -430,6 +430,10 @@ def test_stick_slip_that_is_followed_to_a_value_attracts_there_though_no_start_f
     stretch = each["stick-slip",]
     assert (stretch.low, stretch.high, stretch.high_by) == ("2", "4.5", Bound.RUNS)
     assert [level.estimate.value for level in stretch.ends] == [4.5]
+    cut = [row | ({"motion_ends_above": None} if row["belt_speed"] == 4.0 else {}) for row in rows]
+    answered = fates.answer(Study(planted_runs([*cut, *(row | {"belt_speed": 6.0} for row in rows[-4:])]), settings))
+    each = {finding.attractors: finding for finding in answered.findings if isinstance(finding, Attracting)}
+    assert (each["stick-slip",].high, each["stick-slip",].high_by) == ("5", Bound.FOLLOWED)
 
 
 def test_what_attracts_is_said_of_one_system_alone(planted_runs, settings):

@@ -105,6 +105,7 @@ def test_another_file_is_another_scene_and_is_not_run_for_the_old(file, scene):
             r"system\.force: expected amplitude and",
         ),
         ("friction = 0.5", 'friction = {table = "speed.csv"}', r"system\.friction: expected"),
+        ("damping = ", "C = ", r"system\.path: expected files of stiffness, .* got one of 'C'"),
     ],
 )
 def test_what_does_not_fit_is_refused(old, new, words, scene):
