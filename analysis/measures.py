@@ -112,7 +112,8 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
     studies = (study,) if beside is None else (study, beside)
     limits = common_range(group.law for data in studies for group in data.once(read))
     within = f" (M = {signs(f'{limits[0]:.1f} to {limits[1]:.1f}')})" if limits else ""
-    definition = f"of their power law, on {'the part of its range that all have' if limits else 'a range of its own'}"
+    shared = "the part of its range that all have" if limits else "a range of its own"
+    definition = f"slope of a power law, on {shared}"
     statistic = Statistic(B, ratio, title=f"b-value of the episodes{within}", definition=definition)
     b = Measure(statistic, "episode_b", partial(_b, by_label, limits))
     is_led_by_b = 2 * sum(group.law.has_b for group in by_label.values()) > len(by_label)

@@ -304,7 +304,7 @@ def _open(change: Change) -> str:
     """Levels and the estimate of a change that is not shown, with a bracket that the caller closes."""
     form, difference = change.quantity.form, change.difference
     start, end = _levels(change)
-    levels = (f"stays at {end}" if start == end else f"goes from {start} to {end}") + _in(change.quantity)
+    levels = (f"is {end} at both ends" if start == end else f"goes from {start} to {end}") + _in(change.quantity)
     value = difference.estimate.value
     assert value is not None
     unit = form_of(difference, form)

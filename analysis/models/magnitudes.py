@@ -297,17 +297,17 @@ def common_range(catalogues: Iterable[Magnitudes]) -> tuple[float, float] | None
 def b_rows(magnitudes: Magnitudes, systems: Sequence[np.ndarray], limits: tuple[float, float] | None) -> np.ndarray:
     """Sums of each system whose `ratio` is b, on limits or on the range of the law, with its jackknife, shape (G, 2).
 
-    As of numbers whose mean it is, by the influence function of the law. Raises `Undefined` if there are fewer than
+    As of numbers whose mean it is, by the influence function of the law without a cut-off: what is compared has one
+    law, and whether a cut-off is shown depends on how much is known. Raises `Undefined` if there are fewer than
     `FEWEST` events.
     """
-    fit, counts = magnitudes.fit, magnitudes.counts
+    least, counts = magnitudes.least, magnitudes.counts
     if limits is not None:
         least, most = limits
         counts = np.array([in_classes(values, least, round((most - least) / WIDTH)) for values in systems])
-        if counts.sum() < FEWEST:
-            raise Undefined("too few events")
-        fit = _fitted(counts.sum(axis=0).astype(np.float64), least, magnitudes.law)
-    assert fit is not None
+    if counts.sum() < FEWEST:
+        raise Undefined("too few events")
+    fit = _fitted(counts.sum(axis=0).astype(np.float64), least, 1)
     n = counts.sum(axis=1)
     moved = np.linalg.solve(fit.information(), fit.scores().T @ counts.T)[0]
     return np.column_stack([n * fit.theta[0] + moved, n])

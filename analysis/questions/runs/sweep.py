@@ -119,7 +119,10 @@ def _steps(grid: Grid, setting: Label) -> Iterator[KeyStep]:
             common = _in_common(measure.name, pairs)
             if measure is MOTION and not _differ(common):
                 continue
+            reasons = (point.measured[measure.name].withheld for pair in pairs for point in pair)
+            withheld = "" if common.counted else next(filter(None, reasons), "")
             difference = _contrast(measure, common, grid.confidence)
+            difference = replace(difference, reason=withheld) if withheld else difference
             if measure is not MOTION and _is_same(common, noise * _largest(measure.name, points)):
                 # no test: what is the same in each of a few units may differ in others
                 difference = replace(difference, is_same=True, p_different=None)
