@@ -78,6 +78,8 @@ def _rows(text: TextIO, parameters: dict[str, float]) -> Iterator[str]:
             continue
         is_heading = is_first and re.match(r"[^\d.+-]", line.lstrip("\"' "))
         is_first = False
+        if line.endswith("}"):
+            raise ValueError("expected numbers, got the attributes of edges; write_edgelist(..., data=False)")
         if not is_heading:
             yield line.translate(_BLANKS)
 

@@ -46,7 +46,7 @@ from stickslip.analysis.findings.finding import (
 )
 from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.findings.place import EVERYWHERE, Place
-from stickslip.analysis.findings.words import capital
+from stickslip.analysis.findings.words import capital, plural
 from stickslip.analysis.members import DRAWN
 from stickslip.analysis.methods import MAGNITUDES, PRIMARY, Apart, compare, names, settings_of
 from stickslip.analysis.models.episodes import (
@@ -284,7 +284,7 @@ def _lack(study: Study, groups: Sequence[Catalogues]) -> Lack:
     if not groups:
         return Lack("the statistics of episodes", Reason.CREEP)
     richest = max(groups, key=lambda group: group.n_episodes)
-    detail = f"{len(richest.runs)} {answers.systems(study)}s, {richest.n_episodes} episodes"
+    detail = f"{plural(len(richest.runs), answers.systems(study))}, {plural(richest.n_episodes, 'episode')}"
     return Lack("the statistics of episodes", _REASONS[richest.basis.code], detail)
 
 

@@ -107,10 +107,11 @@ def test_a_tiny_chart_end_to_end(scene_file, tmp_path, capsys):
     assert (cells[cells.axis != "layer"].error.dropna() < 0.1).all()
     references = pd.read_parquet(out / "report" / "references.parquet")
     assert (references.floor < 1e-8).all()
-    ours = cells[cells.apart.notna() & (cells.tolerance == 1e-6)]
-    assert len(ours) == 2 * 2 + 2
-    assert ours.parted_at.isna().all()
-    assert (ours.apart < 1e-4).all()  # a simple crossing turns an error of w into one of t
+    timed = cells[cells.apart.notna() & (cells.tolerance == 1e-6)]
+    # two axes of the exact law, one of the smoothed, with two stiffnesses each
+    assert dict(timed.method.value_counts()) == {"coulomb engine": 4, "DP5 with events": 4, "sigmoid engine": 2}
+    assert timed.parted_at.isna().all()
+    assert (timed.apart < 1e-4).all()  # a simple crossing turns an error of w into one of t
 
 
 # ---------------------------------------------------------------------------------------------- the words
