@@ -260,5 +260,5 @@ def error_against_cost(panels: Sequence[Panel]) -> Figure:
             ax.set_ylabel("error, max |z − z$_{ref}$|")
         for ax in axes[-1]:
             ax.set_xlabel("cost, products of K with a vector")
-        legend(figure, 5)
+        legend(figure, 4)
     return figure
