@@ -49,7 +49,8 @@ def _arrays(kind: type[Reader], content: bytes, allowed: Sequence[str], matrix: 
     names = [name for name in reader.names if name not in texts]
     if len(names) == 1:
         array = _shaped(matrix, reader.read(names[0]))
-        if kind is Text and matrix == "stiffness" and array.ndim == 2 and len(array) != array.shape[1] <= 3:
+        is_square = array.shape in ((1,), array.shape[-1:] * 2)
+        if kind is Text and matrix == "stiffness" and not is_square and array.shape[-1] <= 3:
             raise ValueError(f"expected a square matrix, got the shape {array.shape}; {_EDGES}")
         return texts | {matrix: array}
     called = {SYMBOLS.get(name, name) or matrix: name for name in names}

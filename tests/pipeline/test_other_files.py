@@ -123,6 +123,7 @@ def test_numbers_are_read_as_they_were_written(case):
         (b"1;2\n3;1.000,5\n", r"line 2, column 2: expected a finite number, got '1\.000,5'"),
         (b"0,x\n1,2\n3,4\n", r"line 1, column 2: expected a finite number, got 'x'"),
         (b"0,1,1.0\n1,2,2.0\n2,3,3.0\n3,3,0\n", r"the shape \(4, 3\); if it lists edges, coupling = .graph. reads"),
+        (b"source,target,weight\n0,1,1.0\n", r"the shape \(3,\); if it lists edges, coupling = .graph. reads"),
         (mat(A=K, B=K), r"expected an array `stiffness` or `K`.* got A, B; save these alone, or say which"),
         (mat(K=K, stiffness=K), r"expected each array once, got K, stiffness"),
         (mat(K=1j * K), r"K: expected real numbers, got complex ones; save real\(K\)"),
