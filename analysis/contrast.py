@@ -258,7 +258,7 @@ def contrast(
         reference, changed = reference.within(changed), changed.within(reference)
     n_units = min(len(reference), len(changed))
     bare = Contrast(statistic, len(reference), len(changed), scale=scale)
-    is_equal = paired and np.array_equal(reference.rows, changed.rows)
+    is_equal = paired and n_units > 0 and np.array_equal(reference.rows, changed.rows)
     if withheld and not is_equal:
         return replace(bare, reason=withheld)
     if n_units == 0:

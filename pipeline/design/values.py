@@ -48,17 +48,15 @@ class Distribution:
         return f"{self.name}({short(self.first)}, {short(self.second)})"
 
 
-@dataclass(frozen=True, slots=True)
-class Course:
-    """A number that changes in time: linear between values at given times, constant before and after."""
+class InTime:
+    """A number that changes in time."""
 
-    times: tuple[float, ...]
-    values: tuple[float, ...]
+    __slots__ = ()
 
     @property
     def extremes(self) -> tuple[float, float]:
         """The least and the greatest value."""
-        return min(self.values), max(self.values)
+        raise NotImplementedError
 
     @property
     def size(self) -> float:
@@ -70,12 +68,25 @@ class Course:
         """What would stand in a member's name; a course is not swept."""
         return "course"
 
+
+@dataclass(frozen=True, slots=True)
+class Course(InTime):
+    """A number that changes in time: linear between values at given times, constant before and after."""
+
+    times: tuple[float, ...]
+    values: tuple[float, ...]
+
+    @property
+    def extremes(self) -> tuple[float, float]:
+        """The least and the greatest value."""
+        return min(self.values), max(self.values)
+
     def __str__(self) -> str:
         return " to ".join(f"{short(x)} at {short(t)}" for t, x in zip(self.times, self.values, strict=True))
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class Measured(InTime):
     """A number that changes in time as two columns of a file say, times and values: as a `Course`.
 
     `table` is the file beside the scene, with the sha256 of its bytes, how many values it holds and between which;
@@ -88,16 +99,6 @@ class Measured:
     n_values: int
     extremes: tuple[float, float]
     at: str = field(default="", compare=False)  #: where it lies
-
-    @property
-    def size(self) -> float:
-        """The largest absolute value."""
-        return max(map(abs, self.extremes))
-
-    @property
-    def word(self) -> str:
-        """What would stand in a member's name; a course is not swept."""
-        return "course"
 
     def __str__(self) -> str:
         low, high = map(short, self.extremes)

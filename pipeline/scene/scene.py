@@ -81,6 +81,8 @@ from stickslip.sim.systems.system import BEYOND, System
 from stickslip.sim.systems.terms import TERMS
 from stickslip.sim.systems.weakening import LAWS
 
+#: Of keys of [system] that are called otherwise among what a system may have beyond eq. (10).
+_BEYOND_OF = {"rayleigh": "damping matrix", "drive": "force"}
 #: A scene of more members than this is run if the user says yes: else that is taken for a typing error.
 MANY_MEMBERS = 10_000_000
 
@@ -400,7 +402,7 @@ class Scene(StrictTable):
                     " remove it, or `load`"
                 )
             for key, demand, expected in demands:
-                beyond = {"rayleigh": "damping matrix", "drive": "force"}.get(key, key)
+                beyond = _BEYOND_OF.get(key, key)
                 if demand is not None and beyond in BEYOND and beyond not in engine.engine.taken():
                     got = demand.model_dump(exclude_none=True) if isinstance(demand, BaseModel) else demand
                     raise SceneError(
@@ -412,7 +414,7 @@ class Scene(StrictTable):
         """Refuse what a belt that waits cannot load; for a file or a function, its runs tell."""
         system, where = self.system, f'with load = "{self.run.load}"'
         for key, demand, expected in demands:
-            beyond = {"rayleigh": "damping matrix", "drive": "force"}.get(key, key)
+            beyond = _BEYOND_OF.get(key, key)
             if demand is not None and beyond in BEYOND and beyond not in LOADABLE:
                 raise SceneError(f"system.{key}: expected {expected} {where}, got one; remove it, or `load`")
         law = system.weakening

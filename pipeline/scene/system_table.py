@@ -25,6 +25,7 @@ from pydantic_core import core_schema
 
 from stickslip.pipeline.design.values import (
     Course,
+    InTime,
     Measured,
     OnBlocks,
     Push,
@@ -624,7 +625,7 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
         if not self.back_slip and self.drive is None:  # else that of the drive counts too
             for speed in values(self.belt_speed):
                 numbers = (speed,) if isinstance(speed, float) else ()
-                speeds = speed.extremes if isinstance(speed, Course | Measured) else numbers
+                speeds = speed.extremes if isinstance(speed, InTime) else numbers
                 if speeds and not direction(np.array(speeds)):
                     raise ValueError(
                         f"belt_speed: expected with back_slip = false a belt that neither rests nor turns, got"

@@ -121,8 +121,7 @@ def _steps(grid: Grid, setting: Label) -> Iterator[KeyStep]:
                 continue
             reasons = (point.measured[measure.name].withheld for pair in pairs for point in pair)
             withheld = "" if common.counted else next(filter(None, reasons), "")
-            difference = _contrast(measure, common, grid.confidence)
-            difference = replace(difference, reason=withheld) if withheld else difference
+            difference = _contrast(measure, common, grid.confidence, withheld)
             if measure is not MOTION and _is_same(common, noise * _largest(measure.name, points)):
                 # no test: what is the same in each of a few units may differ in others
                 difference = replace(difference, is_same=True, p_different=None)
@@ -150,8 +149,10 @@ def _pairs(points: Sequence[Point], axis: Axis, first: KeyValues, second: KeyVal
     ]
 
 
-def _contrast(measure: Measure, common: _Common, confidence: float) -> Contrast:
-    return contrast(measure.statistic, common.first, common.second, True, confidence, Scale.ABSOLUTE)
+def _contrast(measure: Measure, common: _Common, confidence: float, withheld: str = "") -> Contrast:
+    return contrast(
+        measure.statistic, common.first, common.second, True, confidence, Scale.ABSOLUTE, withheld=withheld
+    )
 
 
 def _turn(
