@@ -163,7 +163,8 @@ class Ensemble:
         kind, origin = self.kind(source, point, variant), self.sources[source][1]
         name = self._of_system(source, matrix) + self.of_run(place, variant)
         system_source = kind.source._replace(matrix=matrix if origin is None else origin.matrix(matrix))
-        return replace(kind, member_id=name, source=system_source, begin=kind.begin._replace(draw=draw))
+        begin = kind.begin if draw is None else kind.begin._replace(draw=draw)
+        return replace(kind, member_id=name, source=system_source, begin=begin)
 
     def ids(self, numbers: Sequence[int]) -> Iterator[str]:
         """The `member_id` of each; the runs of a matrix are handled together."""

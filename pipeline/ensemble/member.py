@@ -31,6 +31,7 @@ from stickslip.sim.engines import ENGINES, contract
 from stickslip.sim.engines.adiabatic import Adiabatic
 from stickslip.sim.engines.contract import Engine
 from stickslip.sim.simulation import as_engine, as_task, loading, with_names
+from stickslip.sim.systems.couplings import draw_constants
 from stickslip.sim.systems.terms import OF_BLOCKS, TERMS
 from stickslip.sim.systems.weakening import LAWS
 
@@ -154,7 +155,7 @@ class Member:
 
     def term(self, name: str) -> Any:
         """A term of its system; None if it has none."""
-        return next((value for key, value in self.terms if key == name), None)
+        return dict(self.terms).get(name)
 
     @property
     def series(self) -> list[Measured]:
@@ -235,9 +236,11 @@ class Member:
         The matrix is the same under every engine, stiffness and perturbation. A perturbation's direction is the
         same for every size: draw 2 at size 0.05 goes five times as far as draw 2 at size 0.01, the same way.
         """
-        change = self.change._replace(twin_size=None)
-        values = self.source, self.terms, change, self.units
-        return _latest(_own_system if change == _UNMOVED else _moved_system, self, values)
+        reading, size, draw, _ = self.change
+        if reading is None and self.units is None:
+            return _latest(_measured_system, self, (self.source, self.terms))
+        values = self.source, self.terms, reading, size, draw, self.units
+        return _latest(_own_system if reading is None else _moved_system, self, values)
 
     def towards(self, neighbour: Neighbour) -> Callable[[float], sim.System]:
         """Its system at 0, and at 1 that of a neighbour, of the same draws; numbers between go along a line."""
@@ -417,7 +420,30 @@ def _driven(member: Member, system: sim.System) -> sim.System:
 
 def _of_terms(member: Member) -> sim.System:
     """The system that a member's terms make, as it stands on the ground."""
-    seed, terms, origin = member._seed(MATRIX), dict(member.terms), member.source.origin
+    source, seed = member.source, member._seed(MATRIX)
+    pattern = _pattern(source.coupling, source.n, member.terms) if source.origin is None else None
+    if pattern is None:
+        return _made_alone(member, seed)
+    return pattern(*draw_constants(source.coupling, source.n, seed, member.term("kappa"), member.term("rho")))
+
+
+@lru_cache(maxsize=64)  # as many points of a grid; a small system is run in the time that it takes to make one
+def _pattern(
+    coupling: str, n: int, terms: tuple[tuple[str, Any], ...]
+) -> Callable[[np.ndarray, np.ndarray], sim.System] | None:
+    """Makes systems that differ in K and R alone, from these; None if more is drawn for each."""
+    is_same = not any(key == "rayleigh_mass" or isinstance(value, NO_NUMBER) for key, value in terms)
+    if not (is_same and coupling in sim.COUPLINGS and {"kappa", "rho"} <= dict(terms).keys()):
+        return None
+    anywhere, anyhow = Start(0.0, 0.0, None, None), Method("", (), None, None)
+    member = Member("", Source(n, coupling, 0, 0, None, ()), terms, _UNMOVED, anywhere, anyhow, 0.0)
+    system = _made_alone(member, member._seed(MATRIX))
+    return system.pattern() if isinstance(system.stiffness, np.ndarray) else None
+
+
+def _arguments(member: Member) -> dict[str, Any]:
+    """What `sim.System` is given beside K, by a member's terms, before ratios are applied."""
+    terms = dict(member.terms)
     arguments: dict[str, Any] = {
         name: member._by_block(terms[name], _PURPOSES[name]) for name in OF_BLOCKS if terms.get(name) is not None
     }
@@ -434,6 +460,12 @@ def _of_terms(member: Member) -> sim.System:
         arguments["weakening"] = terms["weakening_curve"]
     if terms.get("back_slip") is not None and terms.get("drive_block") is None:
         arguments["back_slip"] = False
+    return arguments
+
+
+def _made_alone(member: Member, seed: np.random.SeedSequence) -> sim.System:
+    """As `_of_terms`, whatever is drawn for each block."""
+    terms, origin, arguments = dict(member.terms), member.source.origin, _arguments(member)
     base_system = None
     if isinstance(origin, SystemFunction):
         base_system = make(
@@ -449,9 +481,9 @@ def _of_terms(member: Member) -> sim.System:
                 arguments[value.of] if value.of in arguments else getattr(base_system, value.of)
             )
     if (of_mass := terms.get("rayleigh_mass")) is not None:
-        undamped = _of_source(member, base_system, {**arguments, "damping": 0.0})
+        undamped = _of_source(member, seed, base_system, {**arguments, "damping": 0.0})
         return _with_rayleigh(undamped, of_mass, terms["rayleigh_stiffness"])
-    return _of_source(member, base_system, arguments)
+    return _of_source(member, seed, base_system, arguments)
 
 
 def _with_rayleigh(system: sim.System, of_mass: float, of_stiffness: float) -> sim.System:
@@ -466,11 +498,13 @@ def _with_rayleigh(system: sim.System, of_mass: float, of_stiffness: float) -> s
     return system.changed(damping=damping)
 
 
-def _of_source(member: Member, base_system: sim.System | None, arguments: dict[str, Any]) -> sim.System:
+def _of_source(
+    member: Member, seed: np.random.SeedSequence, base_system: sim.System | None, arguments: dict[str, Any]
+) -> sim.System:
     """The system of a member's source, from the one that its function made if it has one, with these arguments."""
     if base_system is not None:
         return base_system.changed(**arguments)
-    origin, seed, rho = member.source.origin, member._seed(MATRIX), member.term("rho")
+    origin, rho = member.source.origin, member.term("rho")
     if isinstance(origin, SystemFile):
         if rho is not None:
             arguments["damping"] = np.random.default_rng(seed).uniform(rho, 2 * rho, member.n)

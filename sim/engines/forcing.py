@@ -26,7 +26,6 @@ from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING
 from stickslip.sim.systems.drive import Harmonic, Piecewise
-from stickslip.sim.systems.once import once_a_system
 from stickslip.sim.systems.system import System
 
 #: The rounding of a time or a phase, over that of a sum.
@@ -171,7 +170,7 @@ class Drive:
         self._system, self._starts, self._ends = system, list[float](), list[float]()
         self._moves = isinstance(system.belt_speed, Piecewise)
         if not (self._moves or system.force):
-            self.belt_speed, self._next = _constant_belt(system), iter([_WHOLE._replace(end=t_end)])
+            self.belt_speed, self._next = system.belt_at_zero, iter([_WHOLE._replace(end=t_end)])
             self._enter(t_start)
             return
         n, self.belt_speed = system.n, np.array(system.belt_speed_at(t_start))
@@ -307,13 +306,6 @@ class Drive:
             cuts += [start + (end - start) * (k / part) for k in range(1, part)]
             cuts.append(end)
         return np.array(cuts)
-
-
-@once_a_system
-def _constant_belt(system: System) -> Floats:
-    belt = np.empty(system.n)
-    belt[:] = system.belt_speed  # `broadcast_to` takes ten times as long
-    return belt
 
 
 def times(start: float | Floats, end: float | Floats, s: float | Floats) -> Floats:

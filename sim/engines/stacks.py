@@ -270,16 +270,14 @@ class Several(ABC):
         s = np.where(whole[of_event], t, s)
         of_stuck, stuck_t = on_clock(stuck_s, slices[:, 2])
         all_stuck = np.array([np.where(whole[of_stuck], stuck_t, stuck_s), total])
-        events = Events(s, block, mode, touch, all_stuck)
+        parts = zip(
+            [0, *ends], ends, [0, *stuck_ends], stuck_ends, slices[:, 0].tolist(), whole.tolist(), strict=False
+        )
         return [
             FirstSlice(
-                status,
-                events.part(end - n_events, end)._replace(all_stuck=all_stuck[:, stuck - n_stuck : stuck]),
-                is_whole,
+                status, Events(s[a:b], block[a:b], mode[a:b], touch[a:b], all_stuck[:, stuck_a:stuck_b]), is_whole
             )
-            for (status, n_events, n_stuck), end, stuck, is_whole in zip(
-                slices.tolist(), ends, stuck_ends, whole.tolist(), strict=True
-            )
+            for a, b, stuck_a, stuck_b, status, is_whole in parts
         ]
 
     def _ended(self, k: int, first_slice: FirstSlice) -> Run:

@@ -36,7 +36,7 @@ def _springs(u: Floats) -> Floats:
     """Eq. (6) on the complete graph: -kappa_ij off the diagonal, kappa_i + sum_j kappa_ij on it."""
     kappa = np.triu(np.abs(u), 1)
     kappa += kappa.T
-    return np.diag(np.abs(np.diag(u)) + kappa.sum(axis=1)) - kappa
+    return np.diag(np.abs(u.diagonal()) + kappa.sum(axis=1)) - kappa
 
 
 def _in_pairs(stiffness: Floats, u: Floats) -> Floats:
@@ -91,20 +91,21 @@ COUPLINGS: dict[str, Coupling] = {
     # non-reciprocal coupling, grounding springs positive: the paper's ensemble
     "antisymmetric": Coupling(
         words="K_ij = (U_ij - U_ji) / 2 = -K_ji, K_ii = |U_ii|",
-        rule=lambda u: _on_diagonal((u - u.T) / 2, np.abs(np.diag(u))),
+        rule=lambda u: _on_diagonal((u - u.T) / 2, np.abs(u.diagonal())),
     ),
     # the other readings of the text
     "antisymmetric_triangle": Coupling(
         words="K_ij = U_ij = -K_ji for i < j, K_ii = |U_ii|",
-        rule=lambda u: _on_diagonal(_strict_triangle(u), np.abs(np.diag(u))),
+        rule=lambda u: _on_diagonal(_strict_triangle(u), np.abs(u.diagonal())),
     ),
     "signed_diagonal": Coupling(
-        words="K_ij = (U_ij - U_ji) / 2 = -K_ji, K_ii = U_ii", rule=lambda u: _on_diagonal((u - u.T) / 2, np.diag(u))
+        words="K_ij = (U_ij - U_ji) / 2 = -K_ji, K_ii = U_ii",
+        rule=lambda u: _on_diagonal((u - u.T) / 2, u.diagonal()),
     ),
     "full": Coupling(words="K = U", rule=np.copy, relative=np.multiply),
     "symmetric": Coupling(
         words="K_ij = (U_ij + U_ji) / 2, K_ii = |U_ii|",
-        rule=lambda u: _on_diagonal((u + u.T) / 2, np.abs(np.diag(u))),
+        rule=lambda u: _on_diagonal((u + u.T) / 2, np.abs(u.diagonal())),
     ),
     # reciprocal springs between all pairs: positive definite, always stable; another reading makes some negative
     "springs": Coupling(
@@ -178,21 +179,29 @@ def draw_system(
     ValueError
         If the name is unknown, n < 1, the seed or a scale is negative, or the graph has no such degree or rewiring.
     """
-    n, rng = integer("n", n, 1, None), _generator(seed)
+    n = integer("n", n, 1, None)
     scale = 0.0 if damping is not None or rho is None else rho
     for name, value in (("kappa", kappa), ("degree", degree), ("rho", scale)):
         if not value >= 0:
             raise ValueError(f"{name}: expected a number >= 0, got {value}")
     stiffness: Floats | scipy.sparse.sparray
     if coupling in GRAPHS:
+        rng = _generator(seed)
         drawn = rng.uniform(scale, 2 * scale, n)
         edges = drawn_edges(coupling, n, rng, degree, rewiring)
         stiffness = spring_matrix(edges, kappa, per_block("leaf", leaf, n))
     else:
-        kind = _coupling(coupling)
-        u, drawn = _uniform(kind.shape(n), rng, kappa, (scale, 2 * scale))
-        stiffness = kind.rule(u)
+        stiffness, drawn = draw_constants(coupling, n, seed, kappa, scale)
     return System(stiffness, drawn if damping is None else damping, **arguments)
+
+
+def draw_constants(
+    coupling: str, n: int, seed: int | np.random.SeedSequence, kappa: float, rho: float
+) -> tuple[Floats, Floats]:
+    """K and R of `draw_system` alone, of one of `COUPLINGS`."""
+    kind = _coupling(coupling)
+    u, damping = _uniform(kind.shape(n), _generator(seed), kappa, (rho, 2 * rho))
+    return kind.rule(u), damping
 
 
 @numpy_arithmetic()

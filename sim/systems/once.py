@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import wraps
 from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
-from weakref import WeakKeyDictionary
 
 if TYPE_CHECKING:
     from stickslip.sim.systems.system import System
@@ -19,13 +18,14 @@ def once_a_system(function: Callable[Concatenate[System, More], T]) -> Callable[
 
     It may have more arguments: the value for the last of them is kept.
     """
-    values: WeakKeyDictionary[System, tuple[object, T]] = WeakKeyDictionary()
+    name = f"{function.__module__}.{function.__qualname__}"
 
     @wraps(function)
     def value(system: System, /, *more: More.args, **named: More.kwargs) -> T:
-        kept = values.get(system)
+        values = vars(system)  # as those of its cached properties
+        kept: tuple[object, T] | None = values.get(name)
         if kept is None or kept[0] != (more, named):
-            kept = values[system] = (more, named), function(system, *more, **named)
+            kept = values[name] = (more, named), function(system, *more, **named)
         return kept[1]
 
     return value

@@ -17,7 +17,7 @@ from stickslip.sim.engines.coulomb import control, sparse, step, waves
 from stickslip.sim.engines.coulomb.control import Goal
 from stickslip.sim.engines.coulomb.expansion import Expansion
 from stickslip.sim.engines.coulomb.model import Model
-from stickslip.sim.engines.coulomb.overdamped import Slow, has_heavy
+from stickslip.sim.engines.coulomb.overdamped import Slow, is_heavy
 from stickslip.sim.engines.coulomb.sparse import Local
 from stickslip.sim.engines.coulomb.windows import Search, Work
 from stickslip.sim.engines.forcing import Drive
@@ -73,15 +73,12 @@ def _sparse(system: System) -> System:
 
 def _may_begin_together(tasks: Sequence[Task], engine: Coulomb) -> bool:
     """Whether all are run by series, with products of one kind, and none is beyond float64 or heavily damped."""
-    pull, is_any_alone = (
-        np.array([task.system.row_sums for task in tasks]),
-        any(
-            engine.is_nearly_empty(task.system)
-            or has_heavy(task.system)
-            or engine.is_by_waves(task.system, task.length)
-            or _beyond_float64(task, True)
-            for task in tasks
-        ),
+    pull, damping = (np.array([getattr(task.system, name) for task in tasks]) for name in ("row_sums", "damping"))
+    is_any_alone = is_heavy(damping, pull, 0.0).any() or any(
+        engine.is_nearly_empty(task.system)
+        or engine.is_by_waves(task.system, task.length)
+        or _beyond_float64(task, True)
+        for task in tasks
     )
     return not is_any_alone and products.are_of_one_kind(pull)
 

@@ -106,7 +106,7 @@ class Model(NamedTuple):
     def _of(cls, systems: Sequence[System]) -> Model:
         """As they are if no force acts, and without damping between blocks."""
         first, m = systems[0], len(systems)
-        rows = [(s.row_sums, s.damping, s.slip_friction[0], s.static, s.belt_speed_at(0.0)) for s in systems]
+        rows = [(s.row_sums, s.damping, s.slip_friction[0], s.static, s.belt_at_zero) for s in systems]
         row_sums, damping, near, static, belt = np.array(rows).swapaxes(0, 1).copy()
         if isinstance(first.stiffness, np.ndarray):
             dense = np.array([system.stiffness for system in systems])

@@ -55,7 +55,7 @@ class Slow(NamedTuple):
     def of(cls, system: System, fastest: float) -> Slow | None:
         """None if there are no such blocks; `fastest` is the largest frequency of a force."""
         damping, pull = system.damping, system.row_sums
-        if not (has_heavy(system) and _is_heavy(damping, pull, fastest).any()):
+        if not (has_heavy(system) and is_heavy(damping, pull, fastest).any()):
             return None
         all_move, decays = np.ones(system.n, dtype=np.bool_), np.zeros(system.n, dtype=np.bool_)
         most = float(damping.max())
@@ -67,10 +67,10 @@ class Slow(NamedTuple):
 @once_a_system
 def has_heavy(system: System) -> bool:
     """Whether a block may be heavily damped: one is without forces."""
-    return bool(_is_heavy(system.damping, system.row_sums, 0.0).any())
+    return bool(is_heavy(system.damping, system.row_sums, 0.0).any())
 
 
-def _is_heavy(damping: Floats, pull: Floats, fastest: float) -> NDArray[np.bool_]:
+def is_heavy(damping: Floats, pull: Floats, fastest: float) -> NDArray[np.bool_]:
     """Whether R is far above all other rates of a block: see `Slow`, whose arguments these are."""
     return damping > control.HEAVY * np.maximum(np.sqrt(pull), fastest)
 

@@ -148,9 +148,10 @@ class Coulomb(Engine):
     @staticmethod
     def is_nearly_empty(system: System) -> bool:
         """Whether K is a dense array that is run as a sparse one."""
-        n, entries = system.n, system.entries_a_row
-        is_dense = n >= SIZE_OF_SPARSE and isinstance(system.stiffness, np.ndarray)
-        return is_dense and entries < MANY_ENTRIES and entries <= 1.0 + SPARSE * n
+        if system.n < SIZE_OF_SPARSE or not isinstance(system.stiffness, np.ndarray):
+            return False
+        entries = system.entries_a_row
+        return entries < MANY_ENTRIES and entries <= 1.0 + SPARSE * system.n
 
     @staticmethod
     def cost(rate: float, settings: Mapping[str, Any]) -> float:
