@@ -1,7 +1,8 @@
 """Members whose systems are set up at once: each has the row that it has alone, to the last bit."""
 
 import contextlib
-from functools import partial
+from dataclasses import fields
+from functools import cached_property, partial
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from stickslip.pipeline import parse_scene
 from stickslip.pipeline.dataset.schema import encode, schema_of
 from stickslip.pipeline.ensemble import expand, member
 from stickslip.pipeline.running import worker
-from stickslip.sim import IntegrationError, draw_system
+from stickslip.sim import IntegrationError, System, draw_system
 from stickslip.sim.engines.stacks import alike
 from stickslip.sim.simulation import as_engine, as_task
 from tests.fuzz.relations import setup_of
@@ -52,6 +53,26 @@ def test_members_together_have_the_rows_that_they_have_alone(rng, perturbation):
         mixed = worker.run_members([members[k] for k in order], recording)
         back = [mixed[k] for k in np.argsort(order)]
         assert bytes_of(members, back, recording) == bytes_of(members, alone, recording)
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [
+        "",
+        "mass = 2.0",
+        "static = 1.3",
+        "static = 1.3\nback_slip = false\nweakening = {law = 'stribeck', speed = 0.5}",
+    ],
+)
+def test_what_systems_of_one_ensemble_share_is_what_each_has_alone(terms):
+    members, _ = members_of(ensemble(4, 10.0, 3, COULOMB).replace("n = 4", f"n = 4\n{terms}"))
+    systems = [member.system() for member in members]
+    assert systems[0].static is systems[1].static
+    names = {name for name, value in vars(System).items() if isinstance(value, cached_property) and name[0] != "_"}
+    for system in systems:
+        anew = system.changed()
+        for name in names | {field.name for field in fields(System)}:
+            np.testing.assert_equal(getattr(system, name), getattr(anew, name), name)
 
 
 @pytest.mark.filterwarnings("ignore:.*encountered")
