@@ -29,7 +29,7 @@ from stickslip.analysis.style import EXACT, GREY, panel
 
 #: Other values of t_burn that estimates are made with: shares of the chosen one, and of the time after it.
 BEFORE, AFTER = (0.0, 0.5), (0.125, 0.25, 0.5)
-MOST_GROUPS, MOST_RUNS = 8, 200  # of which estimates are made again
+MOST_RUNS = 200  # of which estimates are made again
 EPISODES, MEAN = "rate of episodes", "mean number of sticking blocks"
 
 
@@ -91,12 +91,8 @@ def geweke(study: Study, groups: Sequence[Group]) -> list[Tested]:
     return rows
 
 
-def estimates(study: Study, groups: Sequence[Group]) -> list[AtBurn]:
-    """Mean n_stick, or the rate of episodes, of the first runs of the first groups with several t_burn."""
-    return [row for group in groups[:MOST_GROUPS] for row in _of_group(study, group)]
-
-
-def _of_group(study: Study, group: Group) -> list[AtBurn]:
+def estimates(study: Study, group: Group) -> list[AtBurn]:
+    """Mean n_stick, or the rate of episodes, of the first runs of a group with several t_burn."""
     level, t_burn, t_end = study.settings.confidence, study.settings.t_burn, float(group.key["t_end"])
     members = averaged(study, group)[:MOST_RUNS]
     later = (t_burn + share * (t_end - t_burn) for share in AFTER)

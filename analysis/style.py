@@ -55,9 +55,9 @@ def svg(figure: Figure) -> str:
     with styled():
         FigureCanvasSVG(figure)
         layout = figure.get_layout_engine()
-        if layout is not None:  # if left in place, the figure would be drawn twice
+        if layout is not None:  # if one is left in place, even "none", the figure is drawn twice
             layout.execute(figure)
-            figure.set_layout_engine("none")
+            figure.set_layout_engine(None)
         figure.savefig(buffer, format="svg", dpi=160, metadata={"Date": None})
     return buffer.getvalue()
 

@@ -82,7 +82,7 @@ def test_several_groups_are_tested_together(planted, settings, rng):
 def test_estimates_for_other_values_of_t_burn(planted, settings, rng):
     data, sure = ensemble(planted, rng, 100.0), replace(settings, confidence=SURE)
     study = Study(data, sure)
-    rows = {row.t_burn: row for row in estimates(study, study.groups)}
+    rows = {row.t_burn: row for row in estimates(study, study.groups[0])}
     assert [*rows] == [0.0, 50.0, 100.0, 212.5, 325.0, 550.0]
     for t_burn, row in rows.items():
         by_hand = []
@@ -109,7 +109,7 @@ def test_what_is_averaged_is_tested(planted, settings, rng):
     study = Study(Data(data.members, ended, recorded=numbers), sure)
     (row,) = geweke(study, study.groups)
     assert (row.n_runs, row.n_members, row.n_systems, row.is_short) == (20, 20, 20, True)
-    mean = [row for row in estimates(study, study.groups) if row.is_chosen]
+    mean = [row for row in estimates(study, study.groups[0]) if row.is_chosen]
     assert [row.n_systems for row in mean] == [20]
     assert fates.answer(study).tables["burn_in"]["n_runs"].tolist() == [20]
 
@@ -145,7 +145,7 @@ def test_runs_that_come_to_rest_later_show_nothing_from_then_on(planted, setting
         series[f"m{k}"] = (np.arange(T_END), level + left)
     recorded = {"heat": Recorded("heat", dict.fromkeys(series, 1.0))}
     study = Study(Data(pd.DataFrame(rows), series, recorded=recorded), settings)
-    by_t_burn = estimates(study, study.groups)
+    by_t_burn = estimates(study, study.groups[0])
     assert {row.t_burn for row in by_t_burn if row.p_value is None} == {550.0}
     (row,) = geweke(study, study.groups)
     assert row.is_short

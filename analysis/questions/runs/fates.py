@@ -136,10 +136,11 @@ def answer(study: Study) -> Answer | None:
     ]
     groups = [group for group in study.groups if len(burn_in.averaged(study, group))]
     groups.sort(key=lambda group: -int(group.key["n"]))
-    by_t_burn = burn_in.estimates(study, groups)
     tested = burn_in.geweke(study, groups)
     recorded = {group.label for setting in grid.settings if setting.is_recorded for group in setting.groups}
-    short = [row.group for row in tested if row.is_short and row.group not in recorded]
+    is_short = {row.group for row in tested if row.is_short} - recorded
+    short = [group for group in groups if group.label in is_short]
+    by_t_burn = [row for group in short[:1] for row in burn_in.estimates(study, group)]
     figures = _in_order(
         bool(each),
         any(len(setting.kinds) > 1 for setting in grid.settings),
@@ -147,7 +148,7 @@ def answer(study: Study) -> Answer | None:
         bifurcations.pictures(study, grid, boundaries),
         portraits.pictures(study, grid),
     )
-    figures |= _along_t_burn(study, by_t_burn, short, len(figures) > 1)
+    figures |= _along_t_burn(study, by_t_burn)
     return Answer(
         findings=[*leading, *secondary] or [Lack("what became of the runs", Reason.ALL_FAILED)],
         n_lead=min(MOST_LEADING, len(leading)),
@@ -350,7 +351,7 @@ def _with_lulls(group: Group) -> Place:
     return Place.of(group.name) + lulls
 
 
-def _alerts(study: Study, grid: Grid, ends: Sequence[Ends], short: Sequence[str]) -> list[Alert]:
+def _alerts(study: Study, grid: Grid, ends: Sequence[Ends], short: Sequence[Group]) -> list[Alert]:
     groups = [group for row in ends for group in row.setting.groups]
     n_failed = sum(int(np.sum(group.fates == FAILED)) for group in study.groups)
     n_runs = sum(len(row.setting.runs.rows) for row in ends)
@@ -363,12 +364,11 @@ def _alerts(study: Study, grid: Grid, ends: Sequence[Ends], short: Sequence[str]
         for group in groups
         if group.basis(level).code == enough.FEW_MATRICES and group.n_moving > 1
     ]
-    drifting = short
     alerts = []
     if n_failed:
         alerts.append(Alert.of(Code.FAILED, n=n_failed, of=len(study.data.table.unchanged)))
-    if drifting:
-        where = f" at {drifting[0]}" if len(drifting) == 1 else f" at {len(drifting)} settings"
+    if short:
+        where = f" at {short[0].label}" if len(short) == 1 else f" at {len(short)} settings"
         what, t_burn = "The number of sticking blocks", study.settings.t_burn
         alerts.append(Alert.of(Code.DRIFT, what=what, where=where, t_burn=t_burn))
     if n_open > MOST_OPEN * n_recorded:
@@ -396,20 +396,16 @@ def _ends(study: Study, setting: Setting) -> Ends:
     return Ends(setting, survival(*runs), half_ended(*runs))
 
 
-def _along_t_burn(
-    study: Study, rows: Sequence[burn_in.AtBurn], short: Sequence[str], is_beside: bool
-) -> dict[str, Picture]:
-    """Estimates with other values of t_burn: of a group that it is too short for or, beside other figures, any."""
-    drawable = [row.group for row in rows if row.is_chosen and row.value.low is not None]
-    name = next((name for name in (*short, *drawable * is_beside) if name in drawable), "")
-    if not name:
+def _along_t_burn(study: Study, rows: Sequence[burn_in.AtBurn]) -> dict[str, Picture]:
+    """Estimates of a group with other values of t_burn, if that with the chosen one has an interval."""
+    if not any(row.is_chosen and row.value.low is not None for row in rows):
         return {}
-    t_burn = study.settings.t_burn
-    when = f"after t_burn = {study.settings.at(t_burn)}"
-    says = f"The mean still changes {when}: it is too short." if name in short else f"No drift is shown {when}."
-    caption = f"{says} Estimates with other values, with {100 * study.settings.confidence:g}% intervals ({name})."
-    recipe = partial(burn_in.by_t_burn, [row for row in rows if row.group == name], t_burn)
-    return {"by_t_burn": Picture(recipe, caption)}
+    t_burn, level = study.settings.t_burn, 100 * study.settings.confidence
+    caption = (
+        f"The mean still changes after t_burn = {study.settings.at(t_burn)}: it is too short. Estimates with other"
+        f" values, with {level:g}% intervals ({rows[0].group})."
+    )
+    return {"by_t_burn": Picture(partial(burn_in.by_t_burn, rows, t_burn), caption)}
 
 
 def _leads(study: Study) -> bool:

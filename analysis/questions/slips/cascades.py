@@ -91,8 +91,8 @@ class Sums:
     rows : ndarray, shape (G, 8)
         `dispersion.moments` of the sizes, in the runs and with their blocks shifted in time (0 if that is not known);
         integral of n_stick, and time.
-    parts : ndarray, shape (G, PARTS, 2)
-        Total size and number of cascades in each part of the runs; 0 if that is not known.
+    parts : ndarray, shape (G or 0, PARTS, 2)
+        Total size and number of cascades in each part of the runs; none if that was not asked.
     counts : ndarray, shape (G, K)
         Number of cascades of each size from the smallest on.
     """
@@ -185,12 +185,15 @@ def answer(study: Study) -> Answer:
     """How cascade sizes fall off, beside what three nulls would give."""
     level = study.settings.confidence
     judged = study.judged()
-    labels = {group.label for group in judged}
-    sums_of_groups = [_sums(study, group, group.label in labels) for group in study.groups]
-    sums = {entry.group.label: entry for entry in sums_of_groups}
-    sizes = {entry.group.label: _sizes(entry, level) for entry in sums_of_groups}
+    sums = {group.label: _sums(study, group) for group in study.groups}
+    with_rate = [entry for group in judged if (entry := sums[group.label]).estimate(gamma, level).low is not None]
+    with_rate.sort(key=lambda entry: not _is_exact(entry.group))
+    # blocks are shifted where it is said what that gives
+    alike = [_in_parts(study, entry) for entry in with_rate if _engine(entry) == _engine(with_rate[0])]
+    sums |= {entry.group.label: entry for entry in alike}
+    sizes = {label: _sizes(entry, level) for label, entry in sums.items()}
     tables = {
-        "law": frame_of(LawRow, [_law_row(entry, level) for entry in sums_of_groups]),
+        "law": frame_of(LawRow, [_law_row(entry, level) for entry in sums.values()]),
         "sizes": frame_of(Size, [size for of_group in sizes.values() for size in of_group]),
     }
     drifting = _drifting(study, judged, sums)
@@ -198,15 +201,12 @@ def answer(study: Study) -> Answer:
         missing: Finding = drifting or lack(study, "the decay rate of cascade sizes")
         alerts = [] if drifting is None else [_drift(study)]
         return Answer(findings=[missing], alerts=alerts, tables=tables, method=_method(study))
-    with_rate = [entry for group in judged if (entry := sums[group.label]).estimate(gamma, level).low is not None]
-    if not with_rate:
+    if not alike:
         return Answer(findings=[Lack("the decay rate of cascade sizes", Reason.ONE_VALUE)], tables=tables)
-    with_rate.sort(key=lambda entry: not _is_exact(entry.group))
-    lead = with_rate[0]
-    alike = [entry for entry in with_rate if _engine(entry) == _engine(lead)][:MOST_SETTINGS]
+    lead, *others = alike[:MOST_SETTINGS]
     where = places(study)
     leading = _findings(study, lead, where[lead.group.label])
-    findings = [rate for sums in alike[1:] for rate in _rates(study, sums, where[sums.group.label])]
+    findings = [rate for entry in others for rate in _rates(study, entry, where[entry.group.label])]
     curves = [entry for entry in with_rate if entry.n == lead.n][:MOST_DRAWN]
     definitions = cascade_definitions.compared(study, lead.group)
     return Answer(
@@ -262,18 +262,22 @@ def _engine(sums: Sums) -> list[object]:
     return [sums.group.key[name] for name in ENGINE_KEYS]
 
 
-def _sums(study: Study, group: Group, is_judged: bool) -> Sums:
-    """Of a group that is not judged, only what its counts say."""
+def _sums(study: Study, group: Group) -> Sums:
+    """What the counts of a group say."""
     smallest = study.settings.smallest
     counts = group.counts[:, smallest - 1 :]
-    n_columns = 3 + 2 * PARTS
-    totals = np.zeros((len(counts), n_columns))
-    if is_judged:
-        totals = study.sums(group, partial(_of_run, smallest, min(study.settings.resamples, SHIFTS)), n_columns)
-    shifted, in_parts = totals[:, :3], totals[:, 3:n_columns].reshape(-1, PARTS, 2)
+    rows = np.hstack([moments(counts), np.zeros((len(counts), 3)), group.stuck])
     has_data = counts.sum(axis=1) > 0
-    rows = np.hstack([moments(counts), shifted, group.stuck])
-    return Sums(group, smallest, rows[has_data], in_parts[has_data], counts[has_data])
+    return Sums(group, smallest, rows[has_data], np.zeros((0, PARTS, 2)), counts[has_data])
+
+
+def _in_parts(study: Study, sums: Sums) -> Sums:
+    """With what runs say by parts, and with their blocks shifted in time."""
+    n_columns, draws = 3 + 2 * PARTS, min(study.settings.resamples, SHIFTS)
+    totals = study.sums(sums.group, partial(_of_run, sums.smallest, draws), n_columns)
+    totals = totals[sums.group.counts[:, sums.smallest - 1 :].sum(axis=1) > 0]
+    rows = np.hstack([sums.rows[:, :3], totals[:, :3], sums.rows[:, 6:]])
+    return replace(sums, rows=rows, parts=totals[:, 3:n_columns].reshape(-1, PARTS, 2))
 
 
 def _of_run(least: int, draws: int, run: Run) -> np.ndarray:

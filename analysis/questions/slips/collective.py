@@ -26,7 +26,7 @@ from stickslip.pipeline.design.units import DIMENSIONLESS, Units
 
 WHAT = "collective motion"
 N_STICK = "the number of sticking blocks"
-MOST_GROUPS = 3  # whose exits are compared with time-shifted blocks, and which are drawn
+MOST_GROUPS = 3  # which are drawn
 Q = Quantity(
     "quality",
     "Q of slow common motion",
@@ -55,28 +55,22 @@ def answer(study: Study) -> Answer:
     if not motions:
         return Answer(findings=[Lack(WHAT, Reason.FEW_EVENTS)])
     level, lead = study.settings.confidence, motions[0]
-    exits = [
-        group_exits for motion in motions[:MOST_GROUPS] if (group_exits := exits_of(study, motion.group)) is not None
-    ]
+    exits = exits_of(study, lead.group)
     bands = {motion.group.label: motion.bands(level) for motion in motions[:MOST_GROUPS]}
     bands_drawn = {label: group for label, group in bands.items() if group}
-    leading = _leading(study, lead, exits[:1])
+    leading = _leading(study, lead, exits)
     unit = systems(study)
     shares = [_share(motion, places(study)[motion.group.label], unit) for motion in motions[1:] if motion.is_shown]
     where = places(study)[lead.group.label]
-    compared = [
-        pairs.level(where, Basis(group.n_units, unit))
-        for group in exits[:1]
-        for pairs in group.pairs
-        if pairs.observed.low is not None
-    ]
+    pairs, basis = ((), None) if exits is None else (exits.pairs, Basis(exits.n_units, unit))
+    compared = [row.level(where, basis) for row in pairs if row.observed.low is not None]
     return Answer(
         findings=[*leading, *shares, *compared],
         n_lead=min(2, len(leading)),
         alerts=_alerts(lead, 1 - level),
         method=_METHOD,
         tables={
-            "clustering": frame_by(CLUSTERING, (pairs for group in exits for pairs in group.pairs)),
+            "clustering": frame_by(CLUSTERING, pairs),
             "spectrum": frame_of(Band, (band for group in bands.values() for band in group)),
         },
         figures={"collective": _picture(bands_drawn, lead, where, study.settings.units)} if bands_drawn else {},
@@ -93,10 +87,10 @@ def _alerts(motion: Slow, alpha: float) -> list[Alert]:
     return alerts
 
 
-def _leading(study: Study, motion: Slow, exits: Sequence[Exits]) -> list[Finding]:
+def _leading(study: Study, motion: Slow, exits: Exits | None) -> list[Finding]:
     """What one group shows: first its slow common motion or, if none is shown, why; and exits that trigger others."""
     unit, where = systems(study), places(study)[motion.group.label]
-    shares = [share for group in exits for share in triggered(group, where, unit)]
+    shares = [] if exits is None else triggered(exits, where, unit)
     if not motion.is_shown:
         return [_lacking(motion, where, study.settings), *shares]
     return [_share(motion, where, unit), *_fit(motion, where, unit), *shares]

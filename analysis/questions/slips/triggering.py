@@ -31,7 +31,7 @@ class Pairs(NamedTuple):
     ratio: Estimate
     difference: Difference
 
-    def level(self, where: Place, basis: Basis) -> Level:
+    def level(self, where: Place, basis: Basis | None) -> Level:
         """The finding, where it has an interval."""
         quantity = Quantity("pairs", f"number of pairs of slip onsets within {self.tau:g}")
         return Level(quantity, self.observed, where, Comparison("time-shifted blocks", self.difference), basis)
