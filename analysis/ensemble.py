@@ -18,8 +18,8 @@ from stickslip.analysis.models.fates import DIVERGED, FAILED
 from stickslip.analysis.models.motion import Motion, joined, motion
 from stickslip.analysis.models.times import Times
 from stickslip.analysis.series.cascades import Window
-from stickslip.analysis.series.runs import Ended, Events, Put, Run, Runs, Series, generator, named_window
-from stickslip.analysis.series.windows import ChangePoints
+from stickslip.analysis.series.runs import Ended, Events, Put, Run, Runs, Series, generator, no_series
+from stickslip.analysis.series.windows import ChangePoints, NoSeries, Stack, Windows, windows
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import mean_within, share_over_matrices
@@ -318,10 +318,15 @@ class Study:
         """
         return self.runs.window(member_id, t_end)
 
-    def by_threshold(self, member_id: str, t_end: float) -> dict[float, Window]:
-        """n_stick of a member on [t_burn, t_end] under each further threshold; raises as `window`."""
-        by_factor = self.data.thresholds.get(member_id, {})
-        return {c: named_window(points, member_id, self.settings.t_burn, t_end) for c, points in by_factor.items()}
+    def by_threshold(self, member_id: str, t_end: float) -> tuple[list[float], Windows] | None:
+        """The further thresholds of a member and n_stick on [t_burn, t_end] under each, if any; raises as `window`."""
+        series = self.data.thresholds.get(member_id)
+        if not series:
+            return None
+        try:
+            return [*series], windows(Stack.of([*series.values()]), self.settings.t_burn, [t_end] * len(series))
+        except NoSeries as error:
+            raise no_series(member_id, error) from error
 
     def judged(self) -> list[Group]:
         """Groups whose runs allow a statistic of a steady state.

@@ -25,6 +25,8 @@ MOST_PROCESSES = 4  # there are few questions, and the longest one takes its tim
 #: Members from which on the processes share the runs instead of the questions: going through the runs is most of it,
 #: and what each process knows of the members fills the memory.
 _MANY = 20_000
+#: Bytes of data below which one process is as fast: each takes a second to load what it needs.
+_LARGE = 50_000_000
 #: Runs that a process is asked about together, at least: opening their shards takes two milliseconds.
 _LEAST = 2_000
 
@@ -32,7 +34,7 @@ _LEAST = 2_000
 class Asking:
     """Processes that load what they need while a run goes on, and answer questions once it is done.
 
-    A context manager. There is one for each core but this process's own.
+    A context manager. There is one for each core but this process's own, none for a small dataset that is there.
 
     Parameters
     ----------
@@ -45,6 +47,8 @@ class Asking:
         questions.
     scheduler : str, distributed.Client or callable, optional
         Address of a running dask cluster to be used instead, or as of `pipeline.run_ensemble`.
+    opened : Opened, optional
+        The dataset, if it is there already.
     """
 
     def __init__(
@@ -53,11 +57,13 @@ class Asking:
         with_pdf: bool = False,
         workers: int | None = None,
         scheduler: Scheduling = None,
+        opened: Opened | None = None,
     ) -> None:
         self.own, self.with_pdf, self._workers, self._scheduler = own, with_pdf, workers, scheduler
         self._stack = ExitStack()
         self._is_spread = workers is not None or scheduler is not None
-        n_children = 0 if self._is_spread else min(n_cores(), MOST_PROCESSES) - 1
+        is_alone = self._is_spread or (opened is not None and _is_small(opened))
+        n_children = 0 if is_alone else min(n_cores(), MOST_PROCESSES) - 1
         self._children = self._stack.enter_context(Children(n_children, _load))
 
     def __enter__(self) -> Asking:
@@ -117,6 +123,10 @@ class Asking:
             study.put = Parts(opened, study.settings, self._children, _LEAST)
             return Here()
         return self._children
+
+
+def _is_small(opened: Opened) -> bool:
+    return opened.n_done < _MANY and sum(shard.bytes for shard in opened.manifest.shards.values()) < _LARGE
 
 
 def _load() -> None:

@@ -168,7 +168,7 @@ class Dataset:
         opened = open_dataset(self.path)
         if is_current(opened) and not pdf and not (own and own_questions.names(opened.scene)):
             return opened.place.named(PAGE)
-        with Asking(opened.folder if own else None, pdf) as asking, Watch(opened.place) as watch:
+        with Asking(opened.folder if own else None, pdf, opened=opened) as asking, Watch(opened.place) as watch:
             built = reporting.report(opened, asking, watch.answered)
         for name, problem in built.problems.items():
             warnings.warn(f"{name}: {problem}", stacklevel=2)

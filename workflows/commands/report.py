@@ -50,10 +50,12 @@ class Report(Command):
         if arguments.compare is None:
             if arguments.out is not None:
                 raise Wrong("--out: expected with --compare alone; a report belongs to its dataset")
+            from stickslip.pipeline.dataset.opened import open_dataset
             from stickslip.workflows.asking import Asking
 
-            with Asking(None, arguments.pdf, arguments.workers, arguments.scheduler) as asking:
-                is_done = write_report(arguments.directory, asking, is_own=arguments.own)
+            opened = open_dataset(arguments.directory)
+            with Asking(None, arguments.pdf, arguments.workers, arguments.scheduler, opened) as asking:
+                is_done = write_report(opened, asking, is_own=arguments.own)
             return DONE if is_done else UNFINISHED
         if arguments.workers is not None or arguments.scheduler is not None:
             raise Wrong(
@@ -68,7 +70,7 @@ class Report(Command):
         return DONE
 
 
-def write_report(directory: Where, asking: Asking, watch: Watch | None = None, is_own: bool = False) -> bool:
+def write_report(directory: Where | Opened, asking: Asking, watch: Watch | None = None, is_own: bool = False) -> bool:
     """Write the report of a dataset, unless it is up to date; False if a question of the user's own failed.
 
     If they may be run, which `asking` knows, or else `is_own` says, the report is always made again: they may depend

@@ -156,18 +156,20 @@ def _engine(group: Group, groups: Sequence[Group]) -> Setting:
 
 def _thresholds(study: Study) -> _Thresholds:
     """The sums under further thresholds of sticking; one pass over the runs."""
-    rows: dict[tuple[str, float], list[tuple[int, list[np.ndarray]]]] = {}
+    rows: dict[tuple[str, float], list[tuple[int, np.ndarray]]] = {}
     for group in study.groups if study.data.thresholds else ():
         moving = group.moving
         for unit, member_id, t_end in zip(moving["unit"], moving["member_id"], moving["t_end"], strict=True):
-            for threshold, win in study.by_threshold(str(member_id), float(t_end)).items():
-                sums = [QUANTITIES[name].sums(win.alone)[0] for name in _BY_THRESHOLD]
-                rows.setdefault((group.label, threshold), []).append((int(unit), sums))
+            if (of_run := study.by_threshold(str(member_id), float(t_end))) is not None:
+                values, runs = of_run
+                sums = np.stack([QUANTITIES[name].sums(runs) for name in _BY_THRESHOLD], axis=1)
+                for threshold, of_threshold in zip(values, sums, strict=True):
+                    rows.setdefault((group.label, threshold), []).append((int(unit), of_threshold))
     thresholds = {}
     for place, of_runs in rows.items():
-        units, sums = zip(*of_runs, strict=True)
-        by_name = zip(_BY_THRESHOLD, np.swapaxes(sums, 0, 1), strict=True)
-        thresholds[place] = {name: UnitSums.of(units, of_units) for name, of_units in by_name}
+        units, of_units = zip(*of_runs, strict=True)
+        by_name = zip(_BY_THRESHOLD, np.swapaxes(of_units, 0, 1), strict=True)
+        thresholds[place] = {name: UnitSums.of(units, sums) for name, sums in by_name}
     return thresholds
 
 
