@@ -584,7 +584,14 @@ class System:
 
         Without back slip the closed sides stay as they are, also on another belt.
         """
-        own = {
+        other = System(**{**self._arguments(), **arguments})
+        if "back_slip" not in arguments:
+            object.__setattr__(other, "closed", self.closed)
+        return other
+
+    def _arguments(self) -> dict[str, Any]:
+        """By which another is made as this one, but for `back_slip`."""
+        return {
             "stiffness": self.stiffness,
             "damping": self.damping_matrix,
             "friction": self.friction,
@@ -595,10 +602,10 @@ class System:
             "weakening": self.weakening,
             "names": self.names,
         }
-        other = System(**{**own, **arguments})
-        if "back_slip" not in arguments:
-            object.__setattr__(other, "closed", self.closed)
-        return other
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy is made anew: pickled arrays could be written to, and all that follows from them would travel."""
+        return _remade, (self._arguments(), self.closed)
 
     def pattern(self) -> Callable[[Floats, Floats], System]:
         """A function of a dense K and of R, shape (n,), new arrays: the same system with these.
@@ -664,6 +671,12 @@ class System:
             rows["back slip"] = "none"
         rows["belt speed v"] = self._belts(".6g")
         return show.table(f"system of {self.n} block{'s' * (self.n > 1)}", rows)
+
+
+def _remade(arguments: dict[str, Any], closed: NDArray[np.int8]) -> System:
+    system = System(**arguments)
+    object.__setattr__(system, "closed", closed)
+    return system
 
 
 def work_out(systems: Sequence[System]) -> None:

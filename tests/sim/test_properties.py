@@ -1,6 +1,8 @@
 """What holds for every system beside agreement with the reference and symmetries, which the fuzz holds."""
 
+import copy
 import gc
+import pickle
 import weakref
 
 import numpy as np
@@ -14,7 +16,7 @@ from stickslip.sim import EventSeries, System, draw_system, simulate
 from stickslip.sim.engines import certificates
 from stickslip.sim.runs.series import without_returns
 from tests import independent
-from tests.systems import draw_run
+from tests.systems import TERMS, draw_case, draw_run, made
 
 
 def assert_same(run, t, block, mode, atol=1e-9):
@@ -319,3 +321,20 @@ def test_a_collapse_is_certified_where_that_saves_steps(law, rng):
     assert all(default == always == "collapsed" for t_end, default, always in outcomes if t_end > 1000)
     assert {default for t_end, default, _ in outcomes if t_end < 1000} == {"finished"}
     assert "collapsed" in {always for t_end, _, always in outcomes if t_end < 1000}
+
+
+@pytest.mark.parametrize("again", [lambda system: pickle.loads(pickle.dumps(system)), copy.deepcopy])
+def test_a_copy_is_the_system_and_cannot_be_written_to(rng, again):
+    for sparse in (False, True) * 10:
+        case = draw_case(rng, terms=TERMS)
+        system = made(case, sparse=sparse)
+        size = len(pickle.dumps(system))
+        runs = [simulate(system, case.z0, case.w0, t_end=3.0)]
+        assert len(pickle.dumps(system)) < 1.1 * size  # what followed from it does not travel
+        other = again(system)
+        with pytest.raises(ValueError, match="read-only"):
+            (other.stiffness.data if sparse else other.stiffness)[:1] = 1.0
+        runs.append(simulate(other, case.z0, case.w0, t_end=3.0))
+        for name in ("t", "block", "mode"):
+            np.testing.assert_array_equal(*(getattr(run.events, name) for run in runs))
+        np.testing.assert_array_equal(*(np.array([run.z, run.w]) for run in runs))
