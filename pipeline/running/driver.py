@@ -294,7 +294,7 @@ class _Filling:
         if not self._is_waiting:
             return None
         cold = " and ".join(self._cold)
-        return f"{cold} to be compiled, once: some ten seconds" if cold else "the first shard"
+        return f"{cold} to be compiled, once: half a minute of a core" if cold else "the first shard"
 
 
 def _compute_here(order: Order) -> Result:

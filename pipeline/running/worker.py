@@ -253,7 +253,7 @@ def _times(member: Member, recording: Recording) -> np.ndarray:
 
 
 def is_cold(engine: str) -> bool:
-    """Whether an engine has kernels that are still to be compiled here: some ten seconds, once a version of `sim`."""
+    """Whether an engine has kernels that are still to be compiled here, once a version of `sim`."""
     kernels = ENGINES[engine].kernels
     return bool(kernels) and not has_kernel(kernels)
 

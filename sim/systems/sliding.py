@@ -9,7 +9,7 @@ import numpy as np
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.session import numpy_arithmetic
 from stickslip.sim.systems.drive import Piecewise
-from stickslip.sim.systems.system import System
+from stickslip.sim.systems.system import CARRIED, System, is_within
 
 #: A growth rate above this counts as positive: rounding moves a double eigenvalue of a matrix of order one by as
 #: much.
@@ -42,9 +42,10 @@ class CriticalMode(NamedTuple):
 def steady_matrix(system: System) -> Floats | None:
     """The matrix of small deviations from the state in which all blocks slip at the speeds of their belts, (2n, 2n).
 
-    None where friction depends on the speed of a belt that changes.
+    None where friction depends on the speed of a belt that changes, or a term is not in the matrix.
     """
-    if system.weakening is not None and isinstance(system.belt_speed, Piecewise):
+    moves = system.weakening is not None and isinstance(system.belt_speed, Piecewise)
+    if moves or not is_within(CARRIED, system):
         return None
     return system.slip_matrix(system.kinetic_slope(system.belt_speed_at(0.0)))
 
@@ -53,8 +54,8 @@ def steady_matrix(system: System) -> Floats | None:
 def critical_mode(system: System) -> CriticalMode | None:
     """The critical mode of the state in which all blocks slip at the speeds of their belts, w = 0.
 
-    Of z'' M + (C + mu'(|v|)) z' + K z = 0, mu' the slope of friction there, by all 2 n eigenvalues. None where
-    friction depends on the speed of a belt that changes.
+    Of z'' M + (C + mu'(|v|)) z' + K z = 0, mu' the slope of friction there, by all 2 n eigenvalues. None as
+    for `steady_matrix`.
     """
     if (matrix := steady_matrix(system)) is None:
         return None

@@ -11,7 +11,7 @@ dimensionless.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -33,11 +33,10 @@ if TYPE_CHECKING:  # takes a tenth of a second to load, and few systems need it
     import scipy.sparse
 
 
-#: What systems share that differ in a dense K and in R alone; see `System.pattern`.
-_OF_ALL = (
-    "cross_damping", "friction", "belt_speed", "static", "has_static", "mass", "force", "weakening", "closed",
-    "names", "n", "is_plain", "is_static_above", "slip_friction", "most_friction", "back_slip", "has_mass",
-    "has_one_belt", "changes", "belt_at_zero", "fastest_belt",
+#: What follows from a system, but not from K and R: `System.pattern` shares it.
+_OF_OTHERS = (
+    "n", "is_plain", "is_static_above", "slip_friction", "most_friction", "back_slip", "has_mass", "has_one_belt",
+    "changes", "belt_at_zero", "fastest_belt",
 )  # fmt: skip
 #: What is to be done where a normal force is not constant.
 NORMAL_FORCE = (
@@ -285,6 +284,7 @@ class System:
             If there is no such block, an argument is no such number, or a spring ties a block to the ground while the
             drive moves away: K 1 is not 0.
         """
+        require_within(CARRIED, self, "the frame of a drive")
         return driven(self, block, spring, speed, **others)
 
     @cached_property
@@ -612,7 +612,8 @@ class System:
 
         It takes a tenth of the time of `changed`: all else, and what follows from it, is shared.
         """
-        shared = {name: getattr(self, name) for name in _OF_ALL}
+        names = {field.name for field in fields(self)} - {"stiffness", "damping"}
+        shared = {name: getattr(self, name) for name in names.union(_OF_OTHERS)}
 
         def system(stiffness: Floats, damping: Floats) -> System:
             if not np.isfinite(stiffness).all():
@@ -762,6 +763,15 @@ BEYOND = {
 }  # fmt: skip
 
 
+#: Of `BEYOND`, what `driven` brings into the frame of a drive, and `slip_matrix` contains or need not.
+CARRIED = frozenset({"static", "weakening", "back_slip", "mass", "force", "belt_speed", "damping matrix"})
+
+
+def is_within(takes: Collection[str], system: System) -> bool:
+    """Whether all that the system has of `BEYOND` is in `takes`."""
+    return not any(name not in takes and feature.is_in(system) for name, feature in BEYOND.items())
+
+
 def require_within(takes: Collection[str], system: System, what: str) -> None:
     """ValueError if the system has something of `BEYOND` that is not in `takes`; `what` is who does not take it."""
     for name, feature in () if system.is_plain else BEYOND.items():
@@ -823,7 +833,9 @@ def _weakening(weakening: Weakening | None, static: ArrayLike | None) -> Weakeni
         return None
     if not isinstance(weakening, Weakening):
         known = " or ".join(f"{law.__name__}({', '.join(law.parameters())})" for law in LAWS.values())
-        raise TypeError(f"weakening: expected {known}, or another Weakening, got {weakening!r}; left out: none")
+        raise TypeError(
+            f"weakening: expected {known}, Curve(function) or another Weakening, got {weakening!r}; left out: none"
+        )
     weakening.require_static(static)
     return weakening
 

@@ -302,7 +302,7 @@ def test_a_run_says_what_it_waits_for_and_asks_a_worker_what_is_to_be_compiled(s
             run_ensemble(scene, tmp_path / "out", scheduler=lambda: client, on_progress=seen.append)
     waiting = [progress.waiting for progress in seen]
     assert waiting[0] == "workers"
-    assert waiting[-1] == "coulomb and sigmoid to be compiled, once: some ten seconds"
+    assert waiting[-1] == "coulomb and sigmoid to be compiled, once: half a minute of a core"
     assert [progress.eta for progress in seen] == [None] * len(seen)
 
 

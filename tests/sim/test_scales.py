@@ -1,5 +1,6 @@
 """SI units at the door: closed forms in seconds, metres and newtons, and any scales give the same motion."""
 
+import inspect
 import math
 
 import numpy as np
@@ -60,6 +61,8 @@ def test_any_scales_give_the_same_motion(law, rng):
         "weakening": {"rational": Rational(4.0), "stribeck": Stribeck(0.2)}[law],
         "back_slip": law != "rational",
     }
+    all_but = {"stiffness", "names", "normal"}  # what a new argument of `System` is in other units is tested here too
+    assert given.keys() - all_but == inspect.signature(System).parameters.keys() - all_but
     found = []
     for scales in (None, Scales(*10 ** rng.uniform(-0.5, 0.5, 3) * [1e-3, 1e-2, 30.0])):
         system, by = System.from_physical(k, scales=scales, **given)
