@@ -7,6 +7,7 @@ count says how many of these are whose. Null is the fill value of a number, and 
 from __future__ import annotations
 
 import os
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from stickslip.pipeline import QueryError, StoreError
-from stickslip.pipeline.dataset.opened import Opened, open_dataset, reading
-from stickslip.pipeline.dataset.schema import in_units, scalars
+from stickslip.pipeline.dataset.opened import Opened, open_dataset
+from stickslip.pipeline.dataset.schema import scalars
 from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.scene.columns import COLUMNS
 from stickslip.version import __version__
@@ -31,8 +32,7 @@ _ROOM = 2**20  # bytes that a disk has not got which has no room for what HDF5 w
 def write(path: Where, out: Path) -> None:
     """Write the dataset at `path` to a file, which appears once it is complete.
 
-    Columns with a value a member are read one after the other, and lists shard by shard: memory is that of a column
-    or of a shard.
+    Shards are read twice, one after the other: first for the room that texts take.
 
     Raises
     ------
@@ -48,12 +48,10 @@ def write(path: Where, out: Path) -> None:
             'NetCDF needs netCDF4, which is not installed; run: pip install "stickslip[netcdf]"'
         ) from error
     opened = open_dataset(path)
-    source = opened.shards()
-    lists = [name for name in _SAMPLES if name in source.schema.names]
     with whole(out, opened.place, "--netcdf") as stream:
         try:
             with netCDF4.Dataset(f"/dev/fd/{stream.fileno()}", "w") as file:
-                _fill(file, opened, source, lists)
+                _fill(file, opened)
         except StoreError:
             raise
         except (OSError, RuntimeError) as error:  # HDF5 does not say why, or wrongly; of a full disk the system does
@@ -63,8 +61,8 @@ def write(path: Where, out: Path) -> None:
             raise QueryError(f"--netcdf: {out} cannot be written ({error}); choose another file") from error
 
 
-def _fill(file: Any, opened: Opened, source: Any, lists: list[str]) -> None:
-    scene = opened.scene
+def _fill(file: Any, opened: Opened) -> None:
+    scene, schema = opened.scene, opened.schema
     file.setncatts(
         {
             "Conventions": "CF-1.11",
@@ -75,61 +73,88 @@ def _fill(file: Any, opened: Opened, source: Any, lists: list[str]) -> None:
             "comment": f"{f'in {scene.unit_names}' if scene.units else 'dimensionless'}: no clock, no place on Earth",
         }
     )
-    file.createDimension("member", sum(shard.rows for shard in opened.manifest.shards.values()))
-    for name in scalars(source.schema):
-        with reading(opened.place):
-            values = in_units(opened.checked(source.to_table(columns=[name])), scene.recording)[name]
-        _scalar(file, source.schema.field(name), values)
-    for dimension in dict.fromkeys(_SAMPLES[name] for name in lists):
-        _along(file, opened, source, dimension, [name for name in lists if _SAMPLES[name] == dimension])
+    file.createDimension("member", opened.n_done)
+    lists = {name: dimension for name, dimension in _SAMPLES.items() if name in schema.names}
+    for name, room in _rooms(opened).items():
+        _declare(file, schema.field(name), room)
+    for dimension in dict.fromkeys(lists.values()):
+        file.createDimension(dimension, None)
+        counts = file.createVariable(f"{dimension}_row_size", "i8", ("member",))
+        counts.setncatts({"long_name": f"number of values along {dimension}", "sample_dimension": dimension})
+    for name, dimension in lists.items():
+        kind = schema.field(name).type.value_type.to_pandas_dtype()
+        variable = file.createVariable(name, kind, (dimension,), compression="zlib", chunksizes=(_ROWS,))
+        variable.setncatts(_about(schema.field(name)) | {"coordinates": "member_id"})
+    row, ends = 0, Counter[str]()
+    for table in opened.rows([*scalars(schema), *lists]):
+        for name in scalars(schema):
+            file[name][row : row + len(table)] = _plain(table[name], file[name])
+        for dimension in dict.fromkeys(lists.values()):
+            columns = [table[name] for name, along in lists.items() if along == dimension]
+            sizes = _lengths(columns)
+            file[f"{dimension}_row_size"][row : row + len(table)] = sizes
+            end = ends[dimension] + int(sizes.sum())
+            for name in (name for name, along in lists.items() if along == dimension and end > ends[dimension]):
+                file[name][ends[dimension] : end] = _end_to_end(table[name], sizes)
+            ends[dimension] = end
+        row += len(table)
 
 
-def _scalar(file: Any, field: pa.Field, values: pa.ChunkedArray) -> None:
-    """One value a member; texts as characters, which compress."""
+def _rooms(opened: Opened) -> dict[str, int]:
+    """By column of one value a member: of a text the bytes of the longest, of a number how many are null."""
+    rooms = Counter[str](dict.fromkeys(scalars(opened.schema), 0))
+    for table in opened.rows(scalars(opened.schema)):
+        for name in rooms:
+            if pa.types.is_string(table[name].type):
+                rooms[name] = max(rooms[name], pc.max(pc.binary_length(table[name])).as_py() or 0)
+            else:
+                rooms[name] += table[name].null_count
+    return rooms
+
+
+def _declare(file: Any, field: pa.Field, room: int) -> None:
+    """The variable of one value a member; texts as characters, which compress."""
     about = _about(field) | ({"cf_role": "timeseries_id"} if field.name == "member_id" else {})
     if pa.types.is_string(field.type):
-        texts = np.array([text.encode() for text in values.fill_null("").to_pylist()], dtype=np.bytes_)
-        width = max(texts.dtype.itemsize, 1)
-        plain, about = texts.astype(f"S{width}").view("S1").reshape(-1, width), about | {"_Encoding": "utf-8"}
-        file.createDimension(f"{field.name}_length", width)
+        file.createDimension(f"{field.name}_length", max(room, 1))
         variable = file.createVariable(field.name, "S1", ("member", f"{field.name}_length"), compression="zlib")
-    else:
-        if pa.types.is_boolean(field.type):
-            field, values = field.with_type(pa.int8()), values.cast(pa.int8())
-        kind = field.type.to_pandas_dtype()
-        fill = np.nan if pa.types.is_floating(field.type) else np.iinfo(kind).min
-        plain, null = values.fill_null(fill).to_numpy(), fill if values.null_count else None
-        variable = file.createVariable(field.name, kind, ("member",), compression="zlib", fill_value=null)
-    if len(plain):
-        variable[:] = plain
-    variable.setncatts(about)  # the last: it would have the characters encoded
+        variable.set_auto_chartostring(False)
+        variable.setncatts(about | {"_Encoding": "utf-8"})
+        return
+    kind = pa.int8() if pa.types.is_boolean(field.type) else field.type
+    fill = _fill_value(kind.to_pandas_dtype()) if room else None
+    variable = file.createVariable(
+        field.name, kind.to_pandas_dtype(), ("member",), compression="zlib", fill_value=fill
+    )
+    variable.setncatts(about)
 
 
-def _along(file: Any, opened: Opened, source: Any, dimension: str, names: list[str]) -> None:
-    """Lists that have one length each member, or are null, end to end, and their lengths; a null one is all NaN."""
-    file.createDimension(dimension, None)
-    variables = {}
-    for name in names:
-        field = source.schema.field(name)
-        kind = field.type.value_type.to_pandas_dtype()
-        variables[name] = file.createVariable(name, kind, (dimension,), compression="zlib", chunksizes=(_ROWS,))
-        variables[name].setncatts(_about(field) | {"coordinates": "member_id"})
-    counts = file.createVariable(f"{dimension}_row_size", "i8", ("member",))
-    counts.setncatts({"long_name": f"number of values along {dimension}", "sample_dimension": dimension})
-    row = written = 0
-    for fragment in source.get_fragments():
-        with reading(opened.place):
-            shard = in_units(opened.checked(fragment.to_table(columns=["n", *names])), opened.scene.recording)
-        lengths = {name: pc.fill_null(pc.list_value_length(shard[name]), 0).to_numpy() for name in names}
-        sizes = np.max([*lengths.values()], axis=0)
-        more = int(sizes.sum())
-        counts[row : row + len(sizes)] = sizes
-        for name in names if more else ():
-            kind = shard[name].type.value_type.to_pandas_dtype()
-            values = np.full(more, np.nan if np.issubdtype(kind, np.floating) else np.iinfo(kind).min, dtype=kind)
-            values[np.repeat(lengths[name] > 0, sizes)] = pc.list_flatten(shard[name]).to_numpy()
-            variables[name][written : written + more] = values
-        row, written = row + len(sizes), written + more
+def _fill_value(kind: Any) -> Any:
+    """What stands for null among numbers of a type."""
+    return np.nan if np.issubdtype(kind, np.floating) else np.iinfo(kind).min
+
+
+def _plain(values: pa.ChunkedArray, variable: Any) -> np.ndarray:
+    """One value a member, as a variable takes it."""
+    if pa.types.is_string(values.type):
+        texts = np.array([text.encode() for text in values.fill_null("").to_pylist()], f"S{variable.shape[1]}")
+        return texts.view("S1").reshape(-1, variable.shape[1])
+    numbers = values.cast(pa.int8()) if pa.types.is_boolean(values.type) else values
+    return np.asarray(numbers.fill_null(_fill_value(variable.dtype)).to_numpy())
+
+
+def _lengths(columns: list[pa.ChunkedArray]) -> np.ndarray:
+    """How many values each member has in lists that have one length each, or are null."""
+    lengths = [pc.fill_null(pc.list_value_length(column), 0).to_numpy() for column in columns]
+    return np.max(lengths, axis=0)
+
+
+def _end_to_end(column: pa.ChunkedArray, sizes: np.ndarray) -> np.ndarray:
+    """The lists of members end to end; a null one is all NaN."""
+    kind = column.type.value_type.to_pandas_dtype()
+    values = np.full(sizes.sum(), _fill_value(kind), dtype=kind)
+    values[np.repeat(_lengths([column]) > 0, sizes)] = pc.list_flatten(column).to_numpy()
+    return values
 
 
 def _about(field: pa.Field) -> dict[str, str]:

@@ -182,7 +182,7 @@ def report(
     """
     opened = _begun(path)
     scene = opened.scene
-    built = build(
+    return build(
         _data(opened),
         _settings(scene),
         printable(scene.title or name_of(opened.place)),
@@ -191,8 +191,6 @@ def report(
         None if asking is None else (lambda study: asking(opened, study, on_answer)),
         made_from(opened),
     )
-    opened.check()  # series were read as they were asked for: once more, so that all are of one moment
-    return built
 
 
 @defaults()
@@ -225,10 +223,7 @@ def compared(path: Where, other: Where) -> Report:
     first, second = (opened.scene.unit_names for opened in begun)
     if first != second:
         raise ValueError(f"expected two datasets in the same units, got {first or 'none'} and {second or 'none'}")
-    built = compare(ensembles[0], ensembles[1], _settings(begun[0].scene))
-    for opened in begun:
-        opened.check()
-    return built
+    return compare(ensembles[0], ensembles[1], _settings(begun[0].scene))
 
 
 def _begun(path: Where | Opened) -> Opened:

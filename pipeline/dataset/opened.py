@@ -4,7 +4,7 @@ A dataset is opened once and handed on as `Opened`, so that all that is read of 
 take a path also take an `Opened`.
 
 Parquet's own checksums cover its pages, not its footer, and cannot tell that a file took another's place. So every
-shard is checked against its sha256 in the manifest before it is read.
+shard is checked against its sha256 in the manifest, and read from the bytes that were checked.
 """
 
 from __future__ import annotations
@@ -17,24 +17,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
-from stickslip.pipeline.dataset.schema import schema_of
+from stickslip.pipeline.dataset.schema import in_units, schema_of
 from stickslip.pipeline.dataset.sound import Sound, fault_of_design, fault_of_file, fault_of_members
 from stickslip.pipeline.design.design import Coordinates, Design
 from stickslip.pipeline.ensemble.numbering import Numbering
 from stickslip.pipeline.ensemble.pack import PlanError, Task, number_of, tasks
-from stickslip.pipeline.errors import QueryError, SceneError, StoreError, command, printable, shortened
+from stickslip.pipeline.errors import QueryError, SceneError, StoreError, printable, shortened
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.manifest import DamagedManifest, Manifest, read_manifest, read_shards
 from stickslip.pipeline.places.place import DATA, MANIFEST, SCENE, Place, Where
 from stickslip.pipeline.records import TABLES
+from stickslip.pipeline.scene.columns import Recording
 from stickslip.pipeline.scene.scene import Scene, parse_scene
 from stickslip.sim.numerics.arguments import did_you_mean
 
 if TYPE_CHECKING:
     import pandas as pd
-    import pyarrow.dataset as ds
 
 
 @dataclass(frozen=True)
@@ -98,96 +100,116 @@ class Opened:
         """Where files and code of its scene are looked for first; for an object store, the working directory."""
         return self.place.path if isinstance(self.place, Directory) else Path()
 
-    def shards(self, names: Sequence[str] | None = None) -> ds.Dataset:
-        """The shards that the manifest lists, or some of them, as one Arrow dataset, in the order of their names.
+    @cached_property
+    def recording(self) -> Recording:
+        """What it keeps of its members."""
+        return self.scene.recording
 
-        Raises `StoreError` if a shard is not what was written, or the manifest's packing or design is not that of its
-        scene.
-        """
-        import pyarrow.dataset as ds  # it loads pandas
-
-        names = sorted(self.manifest.shards) if names is None else list(names)
-        self.check(names)
-        checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
-        with reading(self.place):
-            return ds.dataset(
-                [self.place.key(f"{DATA}/{name}") for name in names],
-                schema=schema_of(self.scene.recording),
-                filesystem=self.place.arrow,
-                format=ds.ParquetFileFormat(default_fragment_scan_options=checked),
-            )
-
-    @property
-    def lost(self) -> list[str]:
-        """The shards whose files are gone or have another size than was written, in the order of their names."""
-        shards = dict(sorted(self.manifest.shards.items()))
-        marks = self.place.marks([f"{DATA}/{name}" for name in shards])
-        return [name for name, mark in zip(shards, marks, strict=True) if not mark or mark.size != shards[name].bytes]
-
-    def check(self, names: Sequence[str] | None = None) -> None:
-        """Check some shards, or all, against the manifest; a checked one is read again only if its file has changed.
-
-        Raises `StoreError` if one is not what was written, was changed since the dataset was opened, or is not there.
-        """
-        place, shards = self.place, self.manifest.shards
-        files = {name: f"{DATA}/{name}" for name in (shards if names is None else names)}
-        marks = dict(zip(files, place.marks(list(files.values())), strict=True))
-        unknown = next((name for name in files if name not in shards), None)
-        if unknown is not None:
-            raise StoreError(
-                f"{place.named(files[unknown])}: not in the manifest any more; rerun the scene to rebuild it"
-            )
-
-        def is_checked(name: str) -> bool:
-            return marks[name] is not None and _checked.get(place.named(files[name])) == (
-                shards[name].sha256,
-                marks[name],
-            )
-
-        new = {name: shards[name] for name in files if not is_checked(name)}
-        with reading(place):
-            for name, content, mark, problem in read_shards(place, new):
-                if problem and read_manifest(place).shards.get(name) != shards[name]:
-                    raise StoreError(
-                        f"{place.named(files[name])}: expected the shard that was listed when the dataset was "
-                        f"opened, got what a run has changed since; rerun the command"
-                    )
-                if problem:
-                    raise StoreError(f"{place.named(files[name])}: {problem}; rerun the scene to rebuild it")
-                problem = fault_of_file(content, schema_of(self.scene.recording), shards[name].rows)
-                if problem:
-                    raise StoreError(f"{place.named(files[name])}: {problem}; {NOT_OURS}")
-                _checked[place.named(files[name])] = (shards[name].sha256, mark)
+    @cached_property
+    def schema(self) -> pa.Schema:
+        """Its columns."""
+        return schema_of(self.recording)
 
     @cached_property
     def sound(self) -> Sound:
         """What its values can be."""
         return Sound(self.scene)
 
-    def checked(self, table: pa.Table) -> pa.Table:
-        """Columns of some rows, once they are found to be what the scene can give.
+    def stored(self, columns: Sequence[str], shards: Sequence[str] | None = None) -> Iterator[tuple[str, pa.Table]]:
+        """Name and some columns of each shard, or of some, as they are kept, in the order of their names.
 
-        Raises `StoreError` if they are not.
+        A file is read once: what is checked is what is used, whoever exchanges it meanwhile.
+
+        Raises
+        ------
+        StoreError
+            If a shard is not what was written, was changed since the dataset was opened, or is not there; or its
+            values are none that the scene gives.
         """
-        problem = self.sound.fault(table)
+        listed = self.manifest.shards
+        names = sorted(listed) if shards is None else shards
+        unknown = next((name for name in names if name not in listed), None)
+        if unknown is not None:
+            raise StoreError(f"{self._file(unknown)}: not in the manifest any more; rerun the scene to rebuild it")
+        with reading(self.place):
+            for name, content, problem in read_shards(self.place, {name: listed[name] for name in names}):
+                if problem and read_manifest(self.place).shards.get(name) != listed[name]:
+                    raise StoreError(
+                        f"{self._file(name)}: expected the shard that was listed when the dataset was opened, got"
+                        " what a run has changed since; rerun the command"
+                    )
+                if problem:
+                    raise StoreError(f"{self._file(name)}: {problem}; rerun the scene to rebuild it")
+                yield name, self._table(name, content, columns)
+
+    def _file(self, name: str) -> str:
+        """A shard as messages show it."""
+        return self.place.named(f"{DATA}/{name}")
+
+    def _table(self, name: str, content: bytes, columns: Sequence[str]) -> pa.Table:
+        """Some columns of a shard; null where data of an earlier version lack them."""
+        shard = self.manifest.shards[name]
+        known = shard.sha256, shard.rows, self.manifest.scene_hash
+        problem = "" if known in _sound else fault_of_file(content, self.schema, shard.rows)
+        if not problem:
+            _sound.add(known)
+            with pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True) as file:
+                # a thread of Arrow's may outlive its library, and end the process
+                table = file.read([*dict.fromkeys([*columns, "n", "outcome"])], use_threads=False)
+            problem = self.sound.fault(table)
         if problem:
-            which = command("verify", str(self.place))
-            raise StoreError(f"{self.place}: {printable(problem)}; `{which}` names the shard: {NOT_OURS}")
-        return table
+            raise StoreError(f"{self._file(name)}: {printable(problem)}; {NOT_OURS}")
+        fields = [self.schema.field(column) for column in columns]
+        there = set(table.column_names)
+        arrays = [table[field.name] if field.name in there else pa.nulls(len(table), field.type) for field in fields]
+        return pa.table(arrays, schema=pa.schema(fields))
 
-    def check_members(self, table: pa.Table, shards: Sequence[str]) -> None:
-        """See that rows of some shards, all of them, are of the members that the scene gives these.
+    def check(self) -> None:
+        """Check all shards; raises as `stored`."""
+        for _ in self.stored(()):
+            pass
+
+    def rows(
+        self,
+        columns: Sequence[str],
+        condition: pc.Expression | None = None,
+        shards: Sequence[str] | None = None,
+    ) -> Iterator[pa.Table]:
+        """Some columns of some rows of each shard, in the units of the scene, in which the condition is too.
+
+        Raises `StoreError` as `stored`; `pyarrow.ArrowException` if the condition is not on the dataset's columns.
+        """
+        needed = [*dict.fromkeys([*columns, *_fields(condition, self.schema)])]
+        for _, stored in self.stored(needed, shards):
+            table = in_units(stored, self.recording)
+            yield (table if condition is None else table.filter(condition)).select(list(columns))
+
+    def table(
+        self,
+        columns: Sequence[str],
+        condition: pc.Expression | None = None,
+        shards: Sequence[str] | None = None,
+    ) -> pa.Table:
+        """As `rows`, in one table."""
+        empty = self.schema.empty_table().select(list(columns)).replace_schema_metadata(None)
+        return pa.concat_tables([empty, *self.rows(columns, condition, shards)])
+
+    def check_members(self, name: str, table: pa.Table) -> None:
+        """See that the rows of a shard, all of them, are of the members that the scene gives it.
 
         Raises `StoreError` if they are not.
         """
-        row = 0
-        for name in shards:
-            batch, _ = self.tasks[number_of(name)]
-            n_rows = len(batch.members)
-            problem = fault_of_members(table.slice(row, n_rows), batch.members, batch.coordinates)
-            row += n_rows
-            if problem:
-                raise StoreError(f"{self.place.named(f'{DATA}/{name}')}: {printable(problem)}; {NOT_OURS}")
+        batch, _ = self.tasks[number_of(name)]
+        problem = fault_of_members(table, batch.members, batch.coordinates)
+        if problem:
+            raise StoreError(f"{self._file(name)}: {printable(problem)}; {NOT_OURS}")
+
+    @property
+    def lost(self) -> list[str]:
+        """The shards whose files are gone or have another size than was written, in the order of their names."""
+        shards = dict(sorted(self.manifest.shards.items()))
+        sizes = self.place.sizes([f"{DATA}/{name}" for name in shards])
+        return [name for name, size in zip(shards, sizes, strict=True) if size != shards[name].bytes]
 
     def again(self) -> Opened:
         """The dataset as it is now; its scene is read again only if it is another.
@@ -202,8 +224,25 @@ class Opened:
 #: What to do about a shard that its manifest knows and that cannot be.
 NOT_OURS = "this program did not write it so: remove it, and rerun the scene to rebuild it"
 
-#: Files whose content this process has checked: the sha256 that it has, and how the file was marked then.
-_checked: dict[str, tuple[str, object]] = {}
+#: The shards of which this process has checked the head: sha256, number of rows, and hash of the scene.
+_sound: set[tuple[str, int, str]] = set()
+
+
+def _fields(condition: pc.Expression | None, schema: pa.Schema) -> list[str]:
+    """The columns that a condition is on: without one of them it has no meaning."""
+    if condition is None:
+        return []
+    import pyarrow.dataset as ds  # it loads pandas
+
+    def binds(columns: pa.Schema) -> bool:
+        try:
+            ds.dataset(columns.empty_table()).scanner(filter=condition)
+        except pa.ArrowInvalid:
+            return False
+        return True
+
+    ds.dataset(schema.empty_table()).scanner(filter=condition)  # says what is wrong with it, if anything is
+    return [name for k, name in enumerate(schema.names) if not binds(schema.remove(k))]
 
 
 def open_dataset(path: Where | Opened) -> Opened:
@@ -272,21 +311,9 @@ def dataset_scene(path: Where | Opened) -> Scene:
     return open_dataset(path).scene
 
 
-def dataset(path: Where | Opened, shards: Sequence[str] | None = None) -> ds.Dataset:
-    """The shards that the manifest lists, or some of them, as one Arrow dataset, in the order of their names.
-
-    Raises `StoreError` if there is no readable dataset at `path`, or a shard is not what was written.
-    """
-    return open_dataset(path).shards(shards)
-
-
 def rows_that_failed(opened: Opened, shards: Sequence[str]) -> list[tuple[str, str]]:
     """Id and reason of each member of some shards that failed, in order."""
-    source = opened.shards(shards)
-    with reading(opened.place):
-        import pyarrow.compute as pc  # takes a while to load; a run without failures does not need it
-
-        rows = source.to_table(["member_id", "reason"], filter=pc.field("outcome") == "failed")
+    rows = opened.table(["member_id", "reason"], pc.field("outcome") == "failed", shards)
     return list(zip(*(rows[name].to_pylist() for name in ("member_id", "reason")), strict=True))
 
 

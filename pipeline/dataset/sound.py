@@ -5,7 +5,6 @@ A sha256 says that a shard is what somebody wrote, not that it was this program.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, wraps
@@ -16,7 +15,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from stickslip.pipeline.dataset.footer import Chunk, chunks, fault_of_pages
+from stickslip.pipeline.dataset.pages import fault_of_pages
 from stickslip.pipeline.dataset.schema import is_of
 from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.design.design import Coordinates, Design
@@ -56,13 +55,15 @@ def fault_of_file(content: bytes, schema: pa.Schema, n_rows: int) -> str:
     try:
         with pq.ParquetFile(pa.BufferReader(content)) as file:
             columns, head = file.schema_arrow, file.metadata
-            if not is_of(columns, schema):
-                return wrong_columns(columns, schema)
-            pages = chunks(content, file.schema)
-        if head.num_rows != n_rows or n_rows * len(file.schema) != sum(chunk.n_rows for chunk in pages):
+        if not is_of(columns, schema):
+            return wrong_columns(columns, schema)
+        groups = [head.row_group(k) for k in range(head.num_row_groups)]
+        if not head.num_rows == n_rows == sum(group.num_rows for group in groups):
             return f"expected {n_rows} rows, got {head.num_rows}"
-        problem = next(filter(None, (fault_of_pages(content, chunk) for chunk in pages)), "")
-        return problem or _too_large(pages, len(content)) or _too_long_texts(content, pages, schema)
+        chunks = [(group.column(k), group.num_rows) for group in groups for k in range(group.num_columns)]
+        problem = next(filter(None, (fault_of_pages(content, *chunk) for chunk in chunks)), "")
+        columns_there = [column for column, _ in chunks]
+        return problem or _too_large(columns_there, len(content)) or _too_long_texts(content, columns_there, schema)
     except (*DAMAGE, ValueError) as error:
         return f"cannot be read ({shortened(str(error), 200)})"
 
@@ -76,9 +77,9 @@ def wrong_columns(columns: pa.Schema, schema: pa.Schema) -> str:
     return f"expected the columns of schema version {SCHEMA_VERSION} and this scene, got others ({name} first)"
 
 
-def _too_large(pages: Sequence[Chunk], n_bytes: int) -> str:
+def _too_large(columns: Sequence[pq.ColumnChunkMetaData], n_bytes: int) -> str:
     """Whether values and pages take more than a shard of this size can, or than this machine has."""
-    return _beyond(sum(max(8 * chunk.n_values, chunk.n_bytes) for chunk in pages), n_bytes)
+    return _beyond(sum(max(8 * column.num_values, column.total_uncompressed_size) for column in columns), n_bytes)
 
 
 def _beyond(needed: int, n_bytes: int) -> str:
@@ -88,11 +89,12 @@ def _beyond(needed: int, n_bytes: int) -> str:
     return lack(COPIES * needed, "what takes")
 
 
-def _too_long_texts(content: bytes, pages: Sequence[Chunk], schema: pa.Schema) -> str:
+def _too_long_texts(content: bytes, columns: Sequence[pq.ColumnChunkMetaData], schema: pa.Schema) -> str:
     """Whether texts, each stored once, take too much where they are repeated."""
     texts = [field.name for field in schema if pa.types.is_string(field.type)]
-    n_rows = sum(chunk.n_rows for chunk in pages if chunk.path == texts[0])
-    if n_rows * sum(chunk.n_bytes for chunk in pages if chunk.path in texts) <= _SMALL:
+    of_texts = [column for column in columns if column.path_in_schema in texts]
+    n_rows = sum(column.num_values for column in of_texts if column.path_in_schema == texts[0])
+    if n_rows * sum(column.total_uncompressed_size for column in of_texts) <= _SMALL:
         return ""
     with pq.ParquetFile(pa.BufferReader(content), read_dictionary=texts) as file:
         table = file.read(texts, use_threads=False)
@@ -256,24 +258,6 @@ def fault_of_counts(table: pa.Table) -> str:
     ends_of_runs = levels.take(pa.array(ends - 1).filter(of_runs))
     if not ends_of_runs.equals(column["n_stick_end"].filter(of_runs)):
         return "n_stick_end: expected the last of n_stick, got another"
-    return ""
-
-
-@_said
-def fault_of_statistics(table: pa.Table, pages: Sequence[Chunk]) -> str:
-    """Whether what the file says of its values, by which readers skip them, is wrong; "" if it is not."""
-    rows: Counter[str] = Counter()
-    for chunk in pages:
-        if chunk.path not in table.column_names:
-            continue
-        values = table[chunk.path].slice(rows[chunk.path], chunk.n_rows)
-        rows[chunk.path] += chunk.n_rows
-        if chunk.n_nulls not in (None, values.null_count):
-            return f"{chunk.path}: expected {values.null_count} nulls in its statistics, got {chunk.n_nulls}"
-        if values.null_count < len(values):
-            low, high = pc.min_max(values).as_py().values()
-            if max(chunk.lows, default=low) > low or min(chunk.highs, default=high) < high:
-                return f"{chunk.path}: expected statistics from {low} to {high}, got others"
     return ""
 
 

@@ -275,7 +275,7 @@ class Store:
 
     def _forget_damaged(self, shards: dict[str, Shard]) -> None:
         """Leave out shards whose files are not what was written."""
-        for name, _, _, problem in read_shards(self.place, dict(shards)):
+        for name, _, problem in read_shards(self.place, dict(shards)):
             if problem:
                 log.warning("%s: %s; recomputing it", self.place.named(f"{DATA}/{name}"), problem)
                 del shards[name]

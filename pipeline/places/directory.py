@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from stickslip.pipeline.errors import StoreError, printable
 from stickslip.pipeline.machine.memory import COPIES, is_hollow, lack
@@ -28,7 +28,6 @@ from stickslip.pipeline.places.place import (
     SCENE,
     TIMINGS,
     Hold,
-    Mark,
     Place,
     check_size,
     part,
@@ -67,14 +66,6 @@ class Directory(Place):
     def named(self, name: str) -> str:
         return str(self.path / name)
 
-    key = named
-
-    @property
-    def arrow(self) -> Any:
-        from stickslip.pipeline.places.arrow import file_system
-
-        return file_system(self)
-
     @contextlib.contextmanager
     def _folder(self, inner: Sequence[str] = (), is_made: bool = False) -> Iterator[int]:
         """Descriptor of the directory, or of a folder in it."""
@@ -95,28 +86,17 @@ class Directory(Place):
 
     def read(self, name: str) -> bytes:
         with open(self.opened(name), "rb") as stream, plain.filename(self.path / name):
-            return _content(stream)
+            return _content(stream, is_shard=name.startswith(f"{DATA}/"))
 
-    def read_marked(self, sizes: Mapping[str, int]) -> Iterator[tuple[bytes | None, Mark | None]]:
-        """Each mark is of the very file that was read."""
-        for name, size in sizes.items():
-            try:
-                with open(self.opened(name), "rb") as stream, plain.filename(self.path / name):
-                    mark = _mark(os.fstat(stream.fileno()))
-                    content = _content(stream, is_shard=True) if mark.size == size else None
-            except FileNotFoundError:
-                content = mark = None
-            yield content, mark
+    def sizes(self, names: Sequence[str]) -> list[int | None]:
+        return [self._size(name) for name in names]
 
-    def marks(self, names: Sequence[str]) -> list[Mark | None]:
-        return [self._mark(name) for name in names]
-
-    def _mark(self, name: str) -> Mark | None:
-        with contextlib.suppress(OSError), self._holding(name) as (name_there, directory):
+    def _size(self, name: str) -> int | None:
+        with contextlib.suppress(FileNotFoundError), self._holding(name) as (name_there, directory):
             status = plain.status(name_there, directory)
             if status is not None:
                 plain.check(status, self.path / name)
-                return _mark(status)
+                return status.st_size
         return None
 
     def replace(self, name: str, content: bytes) -> None:
@@ -215,10 +195,6 @@ def _content(stream: IO[bytes], is_shard: bool = False) -> bytes:
         if not is_hollow(status) and not lack(COPIES * status.st_size, ""):
             return stream.read(status.st_size)
     raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
-
-
-def _mark(status: os.stat_result) -> Mark:
-    return Mark(status.st_size, (status.st_ino, status.st_mtime_ns, status.st_ctime_ns))
 
 
 @dataclass

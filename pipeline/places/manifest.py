@@ -26,7 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, m
 from stickslip.pipeline.errors import StoreError, shortened
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
-from stickslip.pipeline.places.place import DATA, MANIFEST, PACKAGE, TIMINGS, Mark, Place, Where
+from stickslip.pipeline.places.place import DATA, MANIFEST, PACKAGE, TIMINGS, Place, Where
 
 #: Version of what a dataset holds, and how; kept in every shard and in the manifest.
 SCHEMA_VERSION: Final = 3
@@ -50,21 +50,21 @@ class Shard(BaseModel):
         """Members of the shard that failed."""
         return self.outcomes.get("failed", 0)
 
-    def damage(self, content: builtins.bytes | None, mark: Mark | None) -> str:
-        """What is wrong with the shard's file, as `Place.read_marked` gives it; "" if nothing is."""
-        if mark is None:
-            return "missing"
+    def damage(self, content: builtins.bytes | int | None) -> str:
+        """What is wrong with the shard's file, as `Place.read_sized` gives it; "" if nothing is."""
         if content is None:
-            return f"expected {self.bytes} bytes, got {mark.size}"
+            return "missing"
+        if isinstance(content, int):
+            return f"expected {self.bytes} bytes, got {content}"
         digest = hashlib.sha256(content).hexdigest()
         return "" if digest == self.sha256 else f"expected sha256 {self.sha256[:12]}, got {digest[:12]}"
 
 
-def read_shards(place: Place, shards: Mapping[str, Shard]) -> Iterator[tuple[str, builtins.bytes, Mark | None, str]]:
-    """Name, content, mark and damage of each shard's file, in order; the content is empty if its size is another."""
-    files = place.read_marked({f"{DATA}/{name}": shard.bytes for name, shard in shards.items()})
-    for (name, shard), (content, mark) in zip(shards.items(), files, strict=True):
-        yield name, content or b"", mark, shard.damage(content, mark)
+def read_shards(place: Place, shards: Mapping[str, Shard]) -> Iterator[tuple[str, builtins.bytes, str]]:
+    """Name, content and damage of each shard's file, in order; the content is empty if its size is another."""
+    files = place.read_sized({f"{DATA}/{name}": shard.bytes for name, shard in shards.items()})
+    for (name, shard), content in zip(shards.items(), files, strict=True):
+        yield name, content if isinstance(content, bytes) else b"", shard.damage(content)
 
 
 # the pattern keeps a foreign manifest from naming files outside the dataset

@@ -34,7 +34,6 @@ from stickslip.pipeline.places.place import (
     TEMPORARY,
     Hold,
     Lock,
-    Mark,
     Place,
     part,
     this_process,
@@ -82,13 +81,8 @@ class Prefix(Place):
         return f"{self.address}/{name}"
 
     def key(self, name: str) -> str:
+        """The path of a file in `system`."""
         return f"{self.root}/{name}"
-
-    @property
-    def arrow(self) -> Any:
-        from pyarrow.fs import FSSpecHandler, PyFileSystem
-
-        return PyFileSystem(FSSpecHandler(self.system))
 
     def read(self, name: str) -> bytes:
         return self._patiently(name, lambda: self.system.cat_file(self.key(name)))
@@ -98,12 +92,12 @@ class Prefix(Place):
             for start in range(0, len(names), AT_ONCE):
                 yield from pool.map(self._read_if_there, names[start : start + AT_ONCE])
 
-    def marks(self, names: Sequence[str]) -> list[Mark | None]:
-        marks = {}
+    def sizes(self, names: Sequence[str]) -> list[int | None]:
+        sizes = {}
         with contextlib.suppress(FileNotFoundError):
             for entry in self._patiently(DATA, lambda: self.system.ls(self.key(DATA), detail=True)):
-                marks[entry["name"].strip("/")] = Mark(int(entry["size"] or 0), sorted(map(str, entry.items())))
-        return [marks.get(self.key(name).strip("/")) for name in names]
+                sizes[entry["name"].strip("/")] = int(entry["size"] or 0)
+        return [sizes.get(self.key(name).strip("/")) for name in names]
 
     def replace(self, name: str, content: bytes) -> None:
         self._patiently(name, lambda: self.system.pipe_file(self.key(name), content))

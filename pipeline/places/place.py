@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from stickslip.pipeline.errors import remedy
 
@@ -80,14 +80,6 @@ class Lock:
         return self.until is None or self.remaining > 0.0
 
 
-@dataclass(frozen=True)
-class Mark:
-    """A cheap fingerprint of a file: it differs once the file has changed."""
-
-    size: int
-    version: object
-
-
 class Place(ABC):
     """A directory or a prefix; names are relative to it and have ``/`` between their parts.
 
@@ -116,19 +108,19 @@ class Place(ABC):
         """The content of a file."""
 
     @abstractmethod
-    def marks(self, names: Sequence[str]) -> list[Mark | None]:
-        """The mark of each file, found without reading it; None if there is no such file."""
+    def sizes(self, names: Sequence[str]) -> list[int | None]:
+        """The bytes of each file, found without reading it; None if there is no such file."""
 
     def read_each(self, names: Sequence[str]) -> Iterator[bytes | None]:
         """The content of each file, in order; None for one that is not there."""
         yield from map(self._read_if_there, names)
 
-    def read_marked(self, sizes: Mapping[str, int]) -> Iterator[tuple[bytes | None, Mark | None]]:
-        """Content and mark of each file: no content if its size is not the one here, no mark if it is gone."""
-        marks = dict(zip(sizes, self.marks(list(sizes)), strict=True))
-        contents = self.read_each([name for name, mark in marks.items() if mark and mark.size == sizes[name]])
-        for name, mark in marks.items():
-            yield next(contents) if mark and mark.size == sizes[name] else None, mark
+    def read_sized(self, expected: Mapping[str, int]) -> Iterator[bytes | int | None]:
+        """The content of each file if it has the size that is expected; else its size, or None if it is gone."""
+        sizes = dict(zip(expected, self.sizes(list(expected)), strict=True))
+        contents = self.read_each([name for name, size in sizes.items() if size == expected[name]])
+        for name, size in sizes.items():
+            yield next(contents) if size == expected[name] else size
 
     @abstractmethod
     def check_parts(self) -> None:
@@ -196,15 +188,6 @@ class Place(ABC):
                     check_size(sum(map(len, contents)))
             if len(contents) < n_before + AT_ONCE:
                 return contents
-
-    @property
-    @abstractmethod
-    def arrow(self) -> Any:
-        """The file system through which Arrow reads here; None for the local one."""
-
-    @abstractmethod
-    def key(self, name: str) -> str:
-        """The path of the file `name` in `arrow`."""
 
 
 def part(name: str, k: int) -> str:

@@ -5,7 +5,6 @@ from .frames import all_events as all_events
 from .frames import by_threshold as by_threshold
 from .frames import clusters as clusters
 from .frames import dask_members as dask_members
-from .frames import dataset as dataset
 from .frames import ends as ends
 from .frames import episodes as episodes
 from .frames import events as events

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor, wait
 from itertools import count
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 import pyarrow as pa
 import pyarrow.dataset as ds
 
-from stickslip.pipeline.dataset.opened import Opened, frame, not_recorded, open_dataset, unreadable
-from stickslip.pipeline.dataset.schema import scalars, scaled
-from stickslip.pipeline.errors import QueryError, printable
-from stickslip.pipeline.places.place import Place, Where
+from stickslip.pipeline.dataset.opened import Opened, frame, not_recorded, open_dataset
+from stickslip.pipeline.dataset.schema import scalars
+from stickslip.pipeline.errors import QueryError, StoreError, printable
+from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.records import TABLES
 
 #: Rows of a batch of an answer.
@@ -24,9 +24,6 @@ _ROWS = 100_000
 
 # EXPLAIN shows how a SELECT would be answered; PIVOT comes as several statements in one
 _READ = {"SELECT", "EXPLAIN", "MULTI"}
-
-# What DuckDB 2 and 1 say when Arrow cannot read the shards for them.
-_OF_SHARDS = re.compile(r"registered as 'shards'|arrow_scan")
 
 # Between an n_stick that rose to a maximum and the next minimum, from which it rises again, lies one cascade.
 # Row by row of the dataset: no sorting, whatever its size.
@@ -56,17 +53,11 @@ def quoted(name: str) -> str:
     return '"' + name.replace('"', '""') + '"'
 
 
-def views(
-    schema: pa.Schema,
-    step: float | None,
-    names: Sequence[str] = (),
-    scales: Mapping[str, float] | None = None,
-    time: float = 1.0,
-) -> dict[str, str]:
-    """The views of a dataset, each as the SELECT from its shards.
+def views(schema: pa.Schema, step: float | None, names: Sequence[str] = (), time: float = 1.0) -> dict[str, str]:
+    """The views of a dataset, each as the SELECT from its shards, which are in the units of the scene.
 
-    `step` is the scene's ``record.separation``, `names` are those of the blocks, and by `scales` columns come into
-    the units of the scene, in which a dimensionless unit of time is `time`.
+    `step` is the scene's ``record.separation``, `names` are those of the blocks, and `time` is what a dimensionless
+    unit of time is in these units.
     """
     selections = {
         "members": f"SELECT {', '.join(map(quoted, scalars(schema)))} FROM shards",
@@ -97,19 +88,7 @@ def views(
             f" SELECT member_id, run.threshold AS threshold, unnest(run.t) * {time!r}::DOUBLE AS t,"
             " unnest(run.n_stick) AS n_stick FROM runs"
         )
-    if not scales:
-        return selections
-    changed = ", ".join(
-        (
-            f"[x * {scale!r} for x in {quoted(name)}]"
-            if pa.types.is_list(schema.field(name).type)
-            else f"{quoted(name)} * {scale!r}"
-        )
-        + f" AS {quoted(name)}"
-        for name, scale in scales.items()
-    )
-    measured = f"(SELECT * REPLACE ({changed}) FROM shards)"
-    return {name: re.sub(r"\bFROM shards\b", f"FROM {measured}", select) for name, select in selections.items()}
+    return selections
 
 
 def sql(path: Where | Opened, query: str) -> pd.DataFrame:
@@ -145,22 +124,21 @@ def answer(path: Where | Opened, query: str) -> Iterator[pa.RecordBatchReader]:
     except ImportError as error:
         raise QueryError('SQL needs DuckDB, which is not installed; run: pip install "stickslip[sql]"') from error
     opened = open_dataset(path)
-    source = opened.shards()
+    scene, shards = opened.scene, _Shards(opened)
     selections = views(
-        source.schema,
-        opened.scene.record.separation,
-        opened.scene.system.block_names,
-        scaled(opened.scene.recording),
-        1.0 if opened.scene.scales is None else opened.scene.scales.time,
+        opened.schema,
+        scene.record.separation,
+        scene.system.block_names,
+        1.0 if scene.scales is None else scene.scales.time,
     )
     with duckdb.connect(":memory:") as connection, _aside(connection) as aside:
 
         def ask(work: Callable[[], Any]) -> Any:
             # around what reads alone: what goes wrong where the answer goes is no fault of the dataset
-            with _explained(duckdb, opened.place, list(selections)):
+            with _explained(duckdb, shards, list(selections)):
                 return aside.submit(work).result()
 
-        aside.submit(_prepare, connection, source, selections).result()
+        aside.submit(_prepare, connection, shards, selections).result()
         ask(lambda: _check(connection.extract_statements(query)))
         batches = ask(lambda: _reader(connection.sql(query)))
         schema = _named_apart(batches.schema)
@@ -176,28 +154,46 @@ def answer(path: Where | Opened, query: str) -> Iterator[pa.RecordBatchReader]:
         yield pa.RecordBatchReader.from_batches(schema, rest())
 
 
-class _Shards(ds.UnionDataset):  # type: ignore[misc]  # Arrow says no types
-    """A dataset whose readers DuckDB may ask for.
+class _Shards(ds.InMemoryDataset):  # type: ignore[misc]  # Arrow says no types
+    """The shards of a dataset as DuckDB reads them: some columns of some rows, one shard after the other.
 
-    Arrow's own `to_reader` holds Python's lock while it waits for a thread of Arrow, and that one may wait for the
-    lock, to open a shard by our file system: both would wait for ever.
+    Attributes
+    ----------
+    fault : StoreError, optional
+        What was wrong with a shard: DuckDB hands on its words alone.
     """
 
-    def scanner(self, **options: Any) -> _Scan:
-        return _Scan(super().scanner(**options))
+    def __init__(self, opened: Opened) -> None:
+        super().__init__(opened.schema.empty_table())
+        self._opened = opened
+        self.fault: StoreError | None = None
+
+    def scanner(self, columns: list[str] | None = None, filter: Any = None, **_: Any) -> _Scan:
+        names = self._opened.schema.names if columns is None else columns
+        return _Scan(pa.schema([self._opened.schema.field(name) for name in names]), self._batches(names, filter))
+
+    def _batches(self, names: list[str], condition: Any) -> Iterator[pa.RecordBatch]:
+        try:
+            for table in self._opened.rows(names, condition):
+                yield from table.to_batches()
+        except StoreError as error:
+            self.fault = error
+            raise
 
 
-class _Scan:
-    def __init__(self, scanner: ds.Scanner) -> None:
-        self._scanner = scanner
+class _Scan(NamedTuple):
+    """What DuckDB asks of a scanner."""
+
+    schema: pa.Schema
+    batches: Iterator[pa.RecordBatch]
 
     def to_reader(self) -> pa.RecordBatchReader:
-        return pa.RecordBatchReader.from_batches(self._scanner.projected_schema, self._scanner.to_batches())
+        return pa.RecordBatchReader.from_batches(self.schema, self.batches)
 
 
-def _prepare(connection: Any, source: Any, selections: dict[str, str]) -> None:
+def _prepare(connection: Any, shards: _Shards, selections: dict[str, str]) -> None:
     """The views of a dataset, and nothing else within reach."""
-    connection.register("shards", _Shards(source.schema, [source]))
+    connection.register("shards", shards)
     for name, selection in selections.items():
         connection.execute(f"CREATE VIEW {quoted(name)} AS {selection}")
     # from here on no files, no network, no variables of this process, and no way back
@@ -255,15 +251,13 @@ def _check(statements: list[Any]) -> None:
 
 
 @contextlib.contextmanager
-def _explained(duckdb: Any, place: Place, names: list[str]) -> Iterator[None]:
-    """Turn the database's refusals, and what a damaged or missing shard raises, into ours."""
+def _explained(duckdb: Any, shards: _Shards, names: list[str]) -> Iterator[None]:
+    """Turn the database's refusals into ours; what is wrong with a shard it hands on without its kind."""
     try:
         yield
-    except (duckdb.Error, pa.ArrowException, OSError) as error:
-        # once rows are coming, Arrow hands on what DuckDB says as an error of the system
-        is_of_system = isinstance(error, OSError) and not re.match(r"[A-Z][\w ]* Error: ", str(error))
-        if is_of_system or _OF_SHARDS.search(str(error)):
-            raise unreadable(place, error) from error
+    except (duckdb.Error, pa.ArrowException, OSError) as error:  # once rows are coming, Arrow hands on an OSError
+        if shards.fault is not None:
+            raise shards.fault from None
         match = re.search(r"Table with name (\w+) does not exist", str(error))
         if match and match[1].lower() in TABLES and match[1].lower() not in names:
             raise not_recorded(match[1].lower()) from error

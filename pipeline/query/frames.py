@@ -14,13 +14,12 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from stickslip import sim
-from stickslip.pipeline.dataset.opened import Opened, dataset, frame, near, not_recorded, open_dataset, reading
-from stickslip.pipeline.dataset.schema import in_units, scalars, scaled
+from stickslip.pipeline.dataset.opened import Opened, frame, near, not_recorded, open_dataset
+from stickslip.pipeline.dataset.schema import in_units, scalars
 from stickslip.pipeline.dataset.sound import joined
 from stickslip.pipeline.design.design import Coordinates
 from stickslip.pipeline.errors import QueryError
@@ -35,7 +34,6 @@ __all__ = [
     "by_threshold",
     "clusters",
     "dask_members",
-    "dataset",
     "ends",
     "episodes",
     "events",
@@ -51,9 +49,6 @@ __all__ = [
 ]
 
 Filters: TypeAlias = pc.Expression | list[tuple[Any, ...]]
-
-#: Shards that one part of a dask frame holds together, in bytes of their files.
-_PART = 64_000_000
 
 #: Rows of the members table that are read together, at least.
 _ROWS = 50_000
@@ -97,8 +92,7 @@ def table(
         If there is no readable dataset.
     """
     opened = open_dataset(path)
-    source = opened.shards()
-    return _chosen(opened, source, _known(source.schema, columns), filters)
+    return _chosen(opened, _known(opened.schema, columns), filters)
 
 
 def members(
@@ -111,14 +105,12 @@ def members(
     A column that holds nulls has a nullable type (NA, never NaN).
     """
     opened = open_dataset(path)
-    source = opened.shards()
-    names = _known(source.schema, scalars(source.schema) if columns is None else columns)
-    return frame(_chosen(opened, source, names, filters))
+    return frame(_chosen(opened, _known(opened.schema, columns, scalars(opened.schema)), filters))
 
 
 def scalar_names(path: Where | Opened) -> tuple[str, ...]:
     """The names of the columns of `members`."""
-    return scalars(open_dataset(path).shards().schema)
+    return scalars(open_dataset(path).schema)
 
 
 def members_in_parts(path: Where | Opened, columns: Sequence[str]) -> Iterator[tuple[pd.DataFrame, Coordinates]]:
@@ -128,9 +120,11 @@ def members_in_parts(path: Where | Opened, columns: Sequence[str]) -> Iterator[t
     """
     opened = open_dataset(path)
     for shards in opened.in_parts(_ROWS):
-        table = _stored(opened, opened.shards(shards), list(columns))
-        opened.check_members(table, shards)
-        yield frame(in_units(table, opened.scene.recording)), opened.coordinates(shards)
+        tables = []
+        for name, table in opened.stored(columns, shards):
+            opened.check_members(name, table)
+            tables.append(table)
+        yield frame(in_units(pa.concat_tables(tables), opened.recording)), opened.coordinates(shards)
 
 
 def dask_members(
@@ -145,84 +139,44 @@ def dask_members(
     import dask.dataframe  # takes a second to load
 
     opened = open_dataset(path)
-    source = opened.shards()
-    names = _known(source.schema, scalars(source.schema) if columns is None else columns)
-    condition = _condition(filters)
-    schema = pa.schema([source.schema.field(name) for name in names])
-    address = str(opened.place)
-    empty = _part((), address, names, condition, schema)
-    groups = _parts({name: shard.bytes for name, shard in sorted(opened.manifest.shards.items())})
+    names = _known(opened.schema, columns, scalars(opened.schema))
+    empty = frame(opened.schema.empty_table().select(names), _nullable(opened, names))
+    parts, address = opened.in_parts(_ROWS) or [[]], str(opened.place)
     return dask.dataframe.from_map(
-        _part, groups, path=address, names=names, condition=condition, schema=schema, meta=empty, label="members"
+        _part, parts, path=address, names=names, filters=filters, meta=empty, label="members"
     )
 
 
-def _parts(sizes: dict[str, int]) -> list[tuple[str, ...]]:
-    """Consecutive shards together, up to `_PART` bytes."""
-    groups: list[list[str]] = [[]]
-    filled = 0
-    for name, size in sizes.items():
-        if groups[-1] and filled + size > _PART:
-            groups.append([])
-            filled = 0
-        groups[-1].append(name)
-        filled += size
-    return [tuple(group) for group in groups]
-
-
-def _part(
-    shards: tuple[str, ...], path: str, names: list[str], condition: pc.Expression | None, schema: pa.Schema
-) -> pd.DataFrame:
-    """One part of a dask frame; of no shards: its columns and their types."""
-    nullable = [field.name for field in schema if field.nullable]
-    if not shards:
-        return frame(schema.empty_table(), nullable)
+def _part(shards: list[str], path: str, names: list[str], filters: Filters | None) -> pd.DataFrame:
+    """One part of a dask frame."""
     opened = open_dataset(path)
-    return frame(_chosen(opened, opened.shards(shards), names, condition), nullable)
+    return frame(_chosen(opened, names, filters, shards), _nullable(opened, names))
 
 
-def _known(schema: pa.Schema, columns: Sequence[str] | None) -> list[str]:
-    names = list(schema.names if columns is None else columns)
+def _nullable(opened: Opened, names: Sequence[str]) -> list[str]:
+    return [name for name in names if opened.schema.field(name).nullable]
+
+
+def _known(schema: pa.Schema, columns: Sequence[str] | None, default: Sequence[str] | None = None) -> list[str]:
+    names = list(columns if columns is not None else schema.names if default is None else default)
     for name in names:
         if name not in schema.names:
             raise QueryError(f"columns: expected columns of the dataset, got {name!r}{near(name, schema.names)}")
     return names
 
 
-def _condition(filters: Filters | None) -> pc.Expression | None:
+def _chosen(
+    opened: Opened, names: list[str], filters: Filters | None, shards: Sequence[str] | None = None
+) -> pa.Table:
+    """Some columns of some rows."""
     try:
-        return None if filters is None else pq.filters_to_expression(filters)
+        condition = None if filters is None else pq.filters_to_expression(filters)
+        return opened.table(names, condition, shards)
     except (pa.ArrowException, ValueError, TypeError) as error:
-        raise _misfit(filters, error) from error
-
-
-def _chosen(opened: Opened, source: ds.Dataset, names: list[str], filters: Filters | None) -> pa.Table:
-    """Some columns and rows, in the units of the scene, in which the condition is too."""
-    recording = opened.scene.recording
-    if filters is None or not scaled(recording):
-        return in_units(_stored(opened, source, names, filters), recording)
-    everything = [*dict.fromkeys([*scalars(source.schema), *names])]
-    whole = in_units(_stored(opened, source, everything), recording)
-    return _stored(opened, ds.dataset(whole), names, filters)
-
-
-def _stored(opened: Opened, source: ds.Dataset, names: list[str], filters: Filters | None = None) -> pa.Table:
-    """Some columns and rows as shards have them."""
-    try:
-        with reading(opened.place):
-            table = source.to_table(columns=names, filter=_condition(filters))
-    except (pa.ArrowException, ValueError) as error:
-        raise _misfit(filters, error) from error
-    return opened.checked(table)
-
-
-def _misfit(filters: Filters | None, error: Exception) -> QueryError:
-    if isinstance(error, QueryError):
-        return error
-    return QueryError(
-        f"filters: expected a condition on the dataset's columns, got {filters!r}: {error}; write a list of tuples, "
-        f'[("n", "=", 200)], or an expression of pyarrow.compute'
-    )
+        raise QueryError(
+            f"filters: expected a condition on the dataset's columns, got {filters!r}: {error}; write a list of"
+            ' tuples, [("n", "=", 200)], or an expression of pyarrow.compute'
+        ) from error
 
 
 def n_stick(path: Where | Opened, member_id: str) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
@@ -243,7 +197,7 @@ def n_stick(path: Where | Opened, member_id: str) -> tuple[NDArray[np.float64], 
         If there is no readable dataset.
     """
     opened = open_dataset(path)
-    row = _member_row(opened, opened.shards(), member_id, ["t", "n_stick"])
+    row = _member_row(opened, member_id, ["t", "n_stick"])
     return _array(row["t"]), _array(row["n_stick"])
 
 
@@ -258,10 +212,9 @@ def events(path: Where | Opened, member_id: str) -> sim.EventSeries:
         If there is no readable dataset.
     """
     opened = open_dataset(path)
-    source = opened.shards()
-    if "event_t" not in source.schema.names:
+    if "event_t" not in opened.schema.names:
         raise not_recorded("events")
-    row, scene = _member_row(opened, source, member_id, _EVENT_COLUMNS), opened.scene
+    row, scene = _member_row(opened, member_id, _EVENT_COLUMNS), opened.scene
     return _event_series(row, scene.system.block_names, scene.unit_names.time)
 
 
@@ -321,13 +274,10 @@ def profiles(path: Where | Opened) -> pd.DataFrame:
 def _table(path: Where | Opened, record: str, prefix: str) -> pd.DataFrame:
     """Lists of members that begin with a prefix, end to end."""
     opened = open_dataset(path)
-    source = opened.shards()
-    names = [name for name in source.schema.names if name.startswith(prefix)]
+    names = [name for name in opened.schema.names if name.startswith(prefix)]
     if not names:
         raise not_recorded(record)
-    with reading(opened.place):
-        rows = source.to_table(["member_id", *names], filter=pc.field(names[0]).is_valid())
-        rows = in_units(opened.checked(rows), opened.scene.recording).combine_chunks()
+    rows = opened.table(["member_id", *names], pc.field(names[0]).is_valid()).combine_chunks()
     row_numbers = pc.list_parent_indices(rows[names[0]].combine_chunks()) if len(rows) else pa.array([], pa.int64())
     columns = {
         name.removeprefix(prefix): pc.list_flatten(rows[name])
@@ -338,14 +288,14 @@ def _table(path: Where | Opened, record: str, prefix: str) -> pd.DataFrame:
     return frame(pa.table({"member_id": rows["member_id"].take(row_numbers), **columns}))
 
 
-def _member_row(opened: Opened, source: ds.Dataset, member_id: str, columns: list[str]) -> dict[str, pa.Scalar]:
+def _member_row(opened: Opened, member_id: str, columns: list[str]) -> dict[str, pa.Scalar]:
     if not isinstance(member_id, str):
         raise QueryError(f"member_id: expected the name of a member, got {member_id!r}; `members` lists them")
-    with reading(opened.place):
-        rows = opened.checked(source.to_table([*columns, "reason"], filter=pc.field("member_id") == member_id))
-        rows = in_units(rows, opened.scene.recording)
-        names = [] if rows.num_rows else source.to_table(["member_id"])["member_id"].to_pylist()
+    done = [batch for batch, _ in opened.tasks if batch.name in opened.manifest.shards]
+    shards = [batch.name for batch in done if member_id in batch.members.ids()]
+    rows = opened.table([*columns, "reason"], pc.field("member_id") == member_id, shards)
     if rows.num_rows == 0:
+        names = list(itertools.chain.from_iterable(batch.members.ids() for batch in done))
         raise QueryError(f"member_id: expected a member that is done, got {member_id!r}{near(member_id, names)}")
     if not rows[columns[0]][0].is_valid:
         raise QueryError(
@@ -420,21 +370,15 @@ class Recorded(Mapping[str, _Value]):
     """
 
     def __init__(self, opened: Opened, recorded: str, columns: list[str], entry: Callable[[_Row], _Value]) -> None:
-        source = opened.shards()
         self._opened, self._recorded, self._columns, self._entry = opened, recorded, columns, entry
-        self._fragments = list(source.get_fragments()) if recorded in source.schema.names else []
+        self._names = sorted(opened.manifest.shards) if recorded in opened.schema.names else []
         self._kept: dict[int, _Shard] = {}  # the last one was read last
         self._next = (0, 0)  # shard and row after those that were asked for last
 
     def _shard(self, k: int) -> _Shard:
         if k not in self._kept:
-            fixed_columns = ["member_id", "n", "outcome"]
-            with reading(self._opened.place):
-                table = self._fragments[k].to_table(columns=[*fixed_columns, *self._columns])
-            table = in_units(self._opened.checked(table), self._opened.scene.recording).drop_columns(
-                fixed_columns[1:]
-            )
-            table = table.filter(pc.is_valid(table[self._recorded]))
+            is_recorded, names = pc.field(self._recorded).is_valid(), ["member_id", *self._columns]
+            table = self._opened.table(names, is_recorded, [self._names[k]])
             while len(self._kept) >= _SHARDS_KEPT and self._n_bytes() + table.nbytes > _KEPT:
                 del self._kept[next(iter(self._kept))]
             self._kept[k] = _Shard(table)
@@ -449,14 +393,14 @@ class Recorded(Mapping[str, _Value]):
     @cached_property
     def _place(self) -> dict[str, tuple[int, int]]:
         """Shard and row of each member."""
-        names = (self._shard(k).member_ids for k in range(len(self._fragments)))
+        names = (self._shard(k).member_ids for k in range(len(self._names)))
         return {name: (k, row) for k, ids in enumerate(names) for row, name in enumerate(ids)}
 
     def __getitem__(self, key: str) -> _Value:
         k, row = self._next  # in the order of the members no place has to be looked up
-        while k < len(self._fragments) and row == len(self._shard(k).member_ids):
+        while k < len(self._names) and row == len(self._shard(k).member_ids):
             k, row = k + 1, 0
-        if k == len(self._fragments) or self._shard(k).member_ids[row] != key:
+        if k == len(self._names) or self._shard(k).member_ids[row] != key:
             k, row = self._place[key]
         self._next = k, row + 1
         return self._at(k, row)
@@ -471,7 +415,7 @@ class Recorded(Mapping[str, _Value]):
         return len(self._place)
 
     def __bool__(self) -> bool:
-        return any(self._shard(k).member_ids for k in range(len(self._fragments)))  # it need not read them all
+        return any(self._shard(k).member_ids for k in range(len(self._names)))  # it need not read them all
 
     def items(self) -> ItemsView[str, _Value]:
         return _Items(self)
@@ -511,7 +455,7 @@ class Series(Recorded[tuple[NDArray[np.float64], NDArray[np.int32]]]):
 
     def _likely(self) -> range:
         """The shard that was read last and the one after it: in the order of the members no place is looked up."""
-        return range(self._next[0], min(self._next[0] + 2, len(self._fragments)))
+        return range(self._next[0], min(self._next[0] + 2, len(self._names)))
 
 
 class _Items(ItemsView[str, _Value]):
@@ -521,7 +465,7 @@ class _Items(ItemsView[str, _Value]):
 
     def __iter__(self) -> Iterator[tuple[str, _Value]]:
         mapping = self._mapping
-        for k in range(len(mapping._fragments)):
+        for k in range(len(mapping._names)):
             for row, name in enumerate(mapping._shard(k).member_ids):
                 yield name, mapping._at(k, row)
 

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from stickslip import sim
-from stickslip.pipeline.dataset.opened import Opened, reading
+from stickslip.pipeline.dataset.opened import Opened
 from stickslip.pipeline.dataset.schema import Values, schema_of
 from stickslip.pipeline.ensemble.expand import Members
 from stickslip.pipeline.ensemble.member import Member
@@ -85,11 +85,9 @@ class KeptRows:
         return frozenset(row for row, outcome in enumerate(outcomes) if outcome == "failed")
 
     def _read_shard(self, name: str) -> pa.Table:
-        source = self.opened.shards([name])
-        with reading(self.opened.place):
-            table = source.to_table(use_threads=False)  # a thread of Arrow's may outlive its library
-        self.opened.check_members(table, [name])
-        return self.opened.checked(table)
+        ((_, table),) = self.opened.stored(self.opened.schema.names, [name])
+        self.opened.check_members(name, table)
+        return table
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ import pyarrow.compute as pc
 import pytest
 
 from stickslip.pipeline import QueryError, Scene, StoreError, expand, parse_scene, query, run_ensemble
+from stickslip.pipeline.dataset.opened import open_dataset
 from stickslip.pipeline.dataset.schema import SCHEMA, scalars
 from stickslip.pipeline.ensemble import pack
 from stickslip.pipeline.query import database
@@ -170,14 +171,19 @@ def test_a_shard_that_is_not_in_the_manifest_is_not_read(copy):
         query.members(copy)
 
 
+def last_of(path):
+    """A member of the last shard."""
+    return [*expand(open_dataset(path).scene).ids()][-1]
+
+
 READERS = {
     "members": query.members,
     "table": query.table,
     "dask": lambda path: query.dask_members(path).compute(scheduler="threads"),
     "series": lambda path: list(query.series(path).items()),
     "all_events": lambda path: list(query.all_events(path).items()),
-    "n_stick": lambda path: query.n_stick(path, "n3-m000-coulomb-1e-10"),
-    "events": lambda path: query.events(path, "n3-m000-coulomb-1e-10"),
+    "n_stick": lambda path: query.n_stick(path, last_of(path)),
+    "events": lambda path: query.events(path, last_of(path)),
     "sql": lambda path: query.sql(path, "SELECT avg(n_exits) FROM members"),
     "sql, after the first rows": lambda path: query.sql(path, "SELECT member_id FROM members, range(20000)"),
 }
@@ -420,7 +426,7 @@ def test_cascades_by_hand(finished, scene):
 def test_a_table_holds_the_lists_too(finished):
     table = query.table(finished, filters=[("n", "=", 5)])
     assert isinstance(table, pa.Table)
-    assert table.schema.names == query.dataset(finished).schema.names
+    assert table.schema.equals(open_dataset(finished).schema)
     t, n_stick = query.n_stick(finished, table["member_id"][3].as_py())
     assert table["t"][3].as_py() == t.tolist()
     assert table["n_stick"][3].as_py() == n_stick.tolist()
@@ -428,7 +434,7 @@ def test_a_table_holds_the_lists_too(finished):
 
 
 def test_dask_frames_hold_what_pandas_frames_hold(finished, monkeypatch):
-    monkeypatch.setattr("stickslip.pipeline.query.frames._PART", 60_000)  # some parts
+    monkeypatch.setattr("stickslip.pipeline.query.frames._ROWS", 6)  # some parts
     columns, filters = ["member_id", "n", "tol", "n_exits", "stick"], [("engine", "=", "coulomb")]
     lazy = query.dask_members(finished, columns, filters)
     assert lazy.npartitions > 2

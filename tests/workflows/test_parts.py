@@ -127,14 +127,6 @@ def test_a_shard_is_a_plain_file(what, place, small_scene, capsys):
         refused((READERS | WRITERS)[name], place, small_scene, f"{shard}: expected a file, got {what}", capsys)
 
 
-def test_a_shard_that_is_exchanged_as_a_query_reads_it_is_one_line(place, small_scene, capsys, monkeypatch):
-    def exchanged(self, path):
-        raise StoreError(f"{path}: expected a file, got a link")
-
-    monkeypatch.setattr("stickslip.pipeline.places.arrow._Files.open_input_file", exchanged)
-    refused(READERS["query"], place, small_scene, "parquet: expected a file, got a link", capsys)
-
-
 def test_a_comparison_stays_in_its_dataset(place, small_scene, capsys):
     (place / "compared").symlink_to(place.parent)
     refused(READERS["compare"], place, small_scene, f"{place / 'compared'}: expected a directory, got a link", capsys)
@@ -240,7 +232,7 @@ def test_no_race_leads_outside(tmp_path):
             lambda: place.replace("data/written", b"mine") or b"mine",
             lambda: place.remove("data/removed") or b"mine",
             lambda: place.names() and b"mine",
-            lambda: place.marks(["data/read", "x"]) and b"mine",
+            lambda: place.sizes(["data/read", "x"]) and b"mine",
         ):
             for _ in range(n_tries):
                 try:
