@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import stat
 import sys
@@ -25,7 +24,6 @@ from stickslip.pipeline.places import plain
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
-from stickslip.sim.kernels.cache import is_ours
 from stickslip.workflows import matlab
 from stickslip.workflows.printed import Terminal
 
@@ -145,76 +143,35 @@ def _flat(schema: pa.Schema) -> None:
 def whole(out: Path, dataset: Where, option: str = "--out") -> Iterator[BinaryIO]:
     """A stream to a file beside `out`, which takes its name at the end, or goes if there is none.
 
-    A link is followed; what is no file, as /dev/null or a pipe, is written to as it stands. What processes that were
-    killed left beside `out` goes too. Messages call `out` by the `option` that names it.
+    A link is followed; a pipe or a device is refused. What processes that were killed left beside `out` goes too.
+    Messages call `out` by the `option` that names it.
     """
     place = place_of(dataset)
     if out.is_dir():
         raise QueryError(f"{option}: expected a file, got the directory {out}; name a file in it")
-    try:
-        written = _written(out)
-        if written is not None:
-            _check_owner(os.fstat(written), f"{option}: expected a file, got {out}, a pipe or a device")
-            with open(os.dup(written), "wb") as stream:
-                yield stream
-            return
-        with _folder_of(out, option) as (directory, file):
-            if isinstance(place, Directory) and file.is_relative_to(place.path.resolve()):
-                raise QueryError(
-                    f"{option}: expected a file outside the dataset {dataset}, got {out}; choose another"
-                )
-            state = plain.status(file.name, directory)
-            if state is not None and not stat.S_ISREG(state.st_mode):
-                with _device(file, directory, option) as stream:
-                    yield stream
-                return
-            plain.remove_left(directory, file.name)
-            with plain.replacing(file, directory) as stream:
-                yield stream
-    except OSError as error:
-        raise QueryError(f"{option}: {out} cannot be written ({error.strerror}); {remedy(error)}") from error
-
-
-def _written(out: Path) -> int | None:
-    """The descriptor by which this process writes a pipe or a device already: its name in /proc leads nowhere."""
-    with contextlib.suppress(OSError):
-        state = out.stat()
-        if stat.S_ISFIFO(state.st_mode) or stat.S_ISCHR(state.st_mode):
-            for descriptor in map(int, os.listdir("/dev/fd")):
-                with contextlib.suppress(OSError):  # that of the listing is closed
-                    is_same = os.path.samestat(os.fstat(descriptor), state)
-                    if is_same and fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_ACCMODE != os.O_RDONLY:
-                        return descriptor
-    return None
-
-
-@contextlib.contextmanager
-def _folder_of(out: Path, option: str) -> Iterator[tuple[int, Path]]:
-    """The folder of a file, opened, and the file's path without links."""
 
     def refusal(link: str) -> QueryError:
         return QueryError(f"{option}: expected a file, got {link}; choose another file")
 
-    with plain.way(out, refusal) as (passed, name, folder):
-        listed = os.open(".", os.O_RDONLY | os.O_DIRECTORY, dir_fd=passed)
-        try:
-            yield listed, folder / name
-        finally:
-            os.close(listed)
-
-
-def _check_owner(state: os.stat_result, expected: str) -> None:
-    if not is_ours(state):
-        raise QueryError(f"{expected} of the user with the id {state.st_uid}; choose another file")
-
-
-def _device(out: Path, directory: int, option: str) -> BinaryIO:
-    """A stream to what is no file, which does not wait for a pipe that nobody reads."""
-    descriptor = os.open(out.name, os.O_WRONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY, dir_fd=directory)
     try:
-        _check_owner(os.fstat(descriptor), f"{option}: expected a file, got {out}, a pipe or a device")
-        os.set_blocking(descriptor, True)
-        return open(descriptor, "wb")
-    except BaseException:
-        os.close(descriptor)
-        raise
+        with plain.way(out, refusal) as (passed, name, folder):
+            file = folder / name
+            if isinstance(place, Directory) and file.is_relative_to(place.path.resolve()):
+                raise QueryError(
+                    f"{option}: expected a file outside the dataset {dataset}, got {out}; choose another"
+                )
+            state = plain.status(name, passed)
+            if state is not None and not stat.S_ISREG(state.st_mode):
+                raise QueryError(
+                    f"{option}: expected a file, got {out}, a pipe or a device; without --out an answer goes to the"
+                    " standard output"
+                )
+            directory = os.open(".", os.O_RDONLY | os.O_DIRECTORY, dir_fd=passed)
+            try:
+                plain.remove_left(directory, name)
+                with plain.replacing(file, directory) as stream:
+                    yield stream
+            finally:
+                os.close(directory)
+    except OSError as error:
+        raise QueryError(f"{option}: {out} cannot be written ({error.strerror}); {remedy(error)}") from error

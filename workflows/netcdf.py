@@ -32,7 +32,7 @@ _ROOM = 2**20  # bytes that a disk has not got which has no room for what HDF5 w
 def write(path: Where, out: Path) -> None:
     """Write the dataset at `path` to a file, which appears once it is complete.
 
-    Shards are read twice, one after the other: first for the room that texts take.
+    Lists are read shard by shard: memory is that of the members table and of a shard.
 
     Raises
     ------
@@ -74,9 +74,10 @@ def _fill(file: Any, opened: Opened) -> None:
         }
     )
     file.createDimension("member", opened.n_done)
+    members = opened.table(scalars(schema))
+    for name in members.column_names:
+        _scalar(file, schema.field(name), members[name])
     lists = {name: dimension for name, dimension in _SAMPLES.items() if name in schema.names}
-    for name, room in _rooms(opened).items():
-        _declare(file, schema.field(name), room)
     for dimension in dict.fromkeys(lists.values()):
         file.createDimension(dimension, None)
         counts = file.createVariable(f"{dimension}_row_size", "i8", ("member",))
@@ -86,47 +87,35 @@ def _fill(file: Any, opened: Opened) -> None:
         variable = file.createVariable(name, kind, (dimension,), compression="zlib", chunksizes=(_ROWS,))
         variable.setncatts(_about(schema.field(name)) | {"coordinates": "member_id"})
     row, ends = 0, Counter[str]()
-    for table in opened.rows([*scalars(schema), *lists]):
-        for name in scalars(schema):
-            file[name][row : row + len(table)] = _plain(table[name], file[name])
+    for table in opened.rows([*lists]):
         for dimension in dict.fromkeys(lists.values()):
-            columns = [table[name] for name, along in lists.items() if along == dimension]
-            sizes = _lengths(columns)
+            columns = {name: table[name] for name, along in lists.items() if along == dimension}
+            sizes = np.max([_lengths(column) for column in columns.values()], axis=0)
             file[f"{dimension}_row_size"][row : row + len(table)] = sizes
-            end = ends[dimension] + int(sizes.sum())
-            for name in (name for name, along in lists.items() if along == dimension and end > ends[dimension]):
-                file[name][ends[dimension] : end] = _end_to_end(table[name], sizes)
-            ends[dimension] = end
+            start, ends[dimension] = ends[dimension], ends[dimension] + int(sizes.sum())
+            for name, column in columns.items() if ends[dimension] > start else ():
+                file[name][start : ends[dimension]] = _end_to_end(column, sizes)
         row += len(table)
 
 
-def _rooms(opened: Opened) -> dict[str, int]:
-    """By column of one value a member: of a text the bytes of the longest, of a number how many are null."""
-    rooms = Counter[str](dict.fromkeys(scalars(opened.schema), 0))
-    for table in opened.rows(scalars(opened.schema)):
-        for name in rooms:
-            if pa.types.is_string(table[name].type):
-                rooms[name] = max(rooms[name], pc.max(pc.binary_length(table[name])).as_py() or 0)
-            else:
-                rooms[name] += table[name].null_count
-    return rooms
-
-
-def _declare(file: Any, field: pa.Field, room: int) -> None:
-    """The variable of one value a member; texts as characters, which compress."""
+def _scalar(file: Any, field: pa.Field, values: pa.ChunkedArray) -> None:
+    """One value a member; texts as characters, which compress."""
     about = _about(field) | ({"cf_role": "timeseries_id"} if field.name == "member_id" else {})
     if pa.types.is_string(field.type):
-        file.createDimension(f"{field.name}_length", max(room, 1))
+        texts = np.array([text.encode() for text in values.fill_null("").to_pylist()], dtype=np.bytes_)
+        width = max(texts.dtype.itemsize, 1)
+        plain, about = texts.astype(f"S{width}").view("S1").reshape(-1, width), about | {"_Encoding": "utf-8"}
+        file.createDimension(f"{field.name}_length", width)
         variable = file.createVariable(field.name, "S1", ("member", f"{field.name}_length"), compression="zlib")
-        variable.set_auto_chartostring(False)
-        variable.setncatts(about | {"_Encoding": "utf-8"})
-        return
-    kind = pa.int8() if pa.types.is_boolean(field.type) else field.type
-    fill = _fill_value(kind.to_pandas_dtype()) if room else None
-    variable = file.createVariable(
-        field.name, kind.to_pandas_dtype(), ("member",), compression="zlib", fill_value=fill
-    )
-    variable.setncatts(about)
+    else:
+        if pa.types.is_boolean(field.type):
+            field, values = field.with_type(pa.int8()), values.cast(pa.int8())
+        kind = field.type.to_pandas_dtype()
+        plain, null = values.fill_null(_fill_value(kind)).to_numpy(), _fill_value(kind) if values.null_count else None
+        variable = file.createVariable(field.name, kind, ("member",), compression="zlib", fill_value=null)
+    if len(plain):
+        variable[:] = plain
+    variable.setncatts(about)  # the last: it would have the characters encoded
 
 
 def _fill_value(kind: Any) -> Any:
@@ -134,26 +123,16 @@ def _fill_value(kind: Any) -> Any:
     return np.nan if np.issubdtype(kind, np.floating) else np.iinfo(kind).min
 
 
-def _plain(values: pa.ChunkedArray, variable: Any) -> np.ndarray:
-    """One value a member, as a variable takes it."""
-    if pa.types.is_string(values.type):
-        texts = np.array([text.encode() for text in values.fill_null("").to_pylist()], f"S{variable.shape[1]}")
-        return texts.view("S1").reshape(-1, variable.shape[1])
-    numbers = values.cast(pa.int8()) if pa.types.is_boolean(values.type) else values
-    return np.asarray(numbers.fill_null(_fill_value(variable.dtype)).to_numpy())
-
-
-def _lengths(columns: list[pa.ChunkedArray]) -> np.ndarray:
-    """How many values each member has in lists that have one length each, or are null."""
-    lengths = [pc.fill_null(pc.list_value_length(column), 0).to_numpy() for column in columns]
-    return np.max(lengths, axis=0)
+def _lengths(column: pa.ChunkedArray) -> np.ndarray:
+    """How many values each member has in lists; none where there is no list."""
+    return np.asarray(pc.fill_null(pc.list_value_length(column), 0).to_numpy())
 
 
 def _end_to_end(column: pa.ChunkedArray, sizes: np.ndarray) -> np.ndarray:
     """The lists of members end to end; a null one is all NaN."""
     kind = column.type.value_type.to_pandas_dtype()
     values = np.full(sizes.sum(), _fill_value(kind), dtype=kind)
-    values[np.repeat(_lengths([column]) > 0, sizes)] = pc.list_flatten(column).to_numpy()
+    values[np.repeat(_lengths(column) > 0, sizes)] = pc.list_flatten(column).to_numpy()
     return values
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
 from itertools import product
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -13,15 +12,13 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     ConfigDict,
+    Discriminator,
     Field,
-    GetCoreSchemaHandler,
-    GetJsonSchemaHandler,
+    Tag,
     WithJsonSchema,
     create_model,
     model_validator,
 )
-from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import core_schema
 
 from stickslip.pipeline.design.values import (
     Course,
@@ -38,6 +35,8 @@ from stickslip.pipeline.design.values import (
 from stickslip.pipeline.own.function import PATTERN
 from stickslip.pipeline.scene.quantity import AnyNumber, Key, course
 from stickslip.pipeline.scene.toml import (
+    SEVERAL,
+    SINGLE,
     BlockNumbers,
     Blocks,
     List,
@@ -191,45 +190,27 @@ class ForceTable(_with_terms("force")):  # type: ignore[misc]
         return OnBlocks(tuple(int(block) for block in self.blocks))  # by number: see `SystemTable._names_apply`
 
 
-class _Forces:
-    """Reads a force, or a list of forces, of which none is swept: a table, or a tuple of tables."""
-
-    @staticmethod
-    def _read(value: Any, parse: Callable[..., ForceTable]) -> ForceTable | tuple[ForceTable, ...]:
-        if not isinstance(value, list | tuple):
-            return parse(value)
-        if not value:
-            raise ValueError("expected one force or more, got []; write e.g. {amplitude = 0.5, frequency = 1.0}")
-        forces = tuple(parse(force, k) for k, force in enumerate(value))
-        for k, force in enumerate(forces):
-            for key in _HARMONIC:
-                if isinstance(getattr(force, key), tuple):
-                    raise ValueError(
-                        f"expected one value of each key where there are several forces, got a list for {key} of"
-                        f" force {k}; a sweep takes one force"
-                    )
-        return forces
-
-    @staticmethod
-    def _write(value: Any, write: Callable[[Any], Any]) -> Any:
-        return [write(force) for force in value] if isinstance(value, tuple) else write(value)
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
-        inner = handler(source)
-        serialization = core_schema.wrap_serializer_function_ser_schema(self._write, schema=inner)
-        return core_schema.no_info_wrap_validator_function(self._read, inner, serialization=serialization)
-
-    def __get_pydantic_json_schema__(
-        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
-    ) -> JsonSchemaValue:
-        force = handler(schema["schema"])
-        return {"anyOf": [force, {"type": "array", "items": force, "minItems": 1}]}
+def _none_swept(forces: tuple[ForceTable, ...]) -> tuple[ForceTable, ...]:
+    if not forces:
+        raise ValueError("expected one force or more, got []; write e.g. {amplitude = 0.5, frequency = 1.0}")
+    for k, force in enumerate(forces):
+        for key in _HARMONIC:
+            if isinstance(getattr(force, key), tuple):
+                raise ValueError(
+                    f"expected one value of each key where there are several forces, got a list for {key} of force"
+                    f" {k}; a sweep takes one force"
+                )
+    return forces
 
 
 if TYPE_CHECKING:
     Forces = ForceTable | tuple[ForceTable, ...]
 else:
-    Forces = Annotated[ForceTable, _Forces()]
+    Forces = Annotated[
+        Annotated[ForceTable, Tag(SINGLE)]
+        | Annotated[tuple[ForceTable, ...], List, AfterValidator(_none_swept), Tag(SEVERAL)],
+        Discriminator(lambda force: SEVERAL if isinstance(force, list | tuple) else SINGLE),
+    ]
 
 
 class _Law(StrictTable):

@@ -309,7 +309,7 @@ def look_at_files(path: str | Mapping[str, str], folder: Path, is_graph: bool = 
     paths = {"stiffness": path} if isinstance(path, str) else dict(path)
     first = paths.pop("stiffness")
     pattern, variable = (first, "") if is_graph else split(first, folder)
-    files = [folder / pattern] if os.path.isfile(folder / pattern) else _glob(folder, pattern)
+    files = [folder / pattern] if os.path.isfile(folder / pattern) else _matching(folder, pattern)
     if not files and os.path.isdir(folder / pattern):
         raise SceneError(f"system.path: expected a file, got the directory {pattern!r}; name a file in it")
     if not files:
@@ -334,48 +334,33 @@ def look_at_files(path: str | Mapping[str, str], folder: Path, is_graph: bool = 
     return facts
 
 
-def _glob(folder: Path, pattern: str) -> list[Path]:
-    """The files that a pattern names, as Python's glob finds them, of a bounded number of entries of directories."""
-    files: set[Path] = set()
-    n_left, places = _MAX_ENTRIES, [(folder, Path(pattern).parts)]
-    while places and n_left >= 0 and len(files) <= MAX_FILES:
-        place, patterns = places.pop()
-        if not patterns:
-            files.update([place] if os.path.isfile(place) else [])
+def _matching(folder: Path, pattern: str) -> list[Path]:
+    """The files that a pattern names; `*`, `?` and `[` stand for parts of names that do not begin with a dot."""
+    if "**" in pattern:
+        raise SceneError(f"system.path: expected no **, got {shown(pattern)}; write * for each folder of the path")
+    places, n_seen = [folder], 0
+    for part in Path(pattern).parts:
+        if not glob.has_magic(part):
+            places = [place / part for place in places]
             continue
-        pattern_part, later_parts = patterns[0], patterns[1:]
-        if not glob.has_magic(pattern_part):
-            places.append((place / pattern_part, later_parts))
-            continue
-        entries = _entries(place, n_left + 1)
-        n_left -= len(entries)
-        is_folder = {
-            name: is_folder for name, is_folder in entries.items() if name[0] != "." or pattern_part[0] == "."
-        }
-        if pattern_part == "**":
-            places.append((place, later_parts))
-            places += [
-                (place / name, patterns if is_folder[name] else ())
-                for name in is_folder
-                if is_folder[name] or not later_parts
-            ]
-        else:
-            places += [(place / name, later_parts) for name in fnmatch.filter(is_folder, pattern_part)]
-    if n_left < 0 or len(files) > MAX_FILES:
-        what = f"more than {MAX_FILES}" if n_left >= 0 else f"for which more than {_MAX_ENTRIES} would be looked at"
-        raise SceneError(
-            f"system.path: expected at most {MAX_FILES} files, got {what}, by {shown(pattern)}; narrow it"
-        )
-    return sorted(files)
+        entries = [place / name for place in places for name in _names(place)]
+        places = [place for place in entries if fnmatch.fnmatch(place.name, part) and place.name[0] != "."]
+        n_seen += len(entries)
+        if n_seen > _MAX_ENTRIES or len(places) > MAX_FILES:
+            raise SceneError(
+                f"system.path: expected at most {MAX_FILES} files, among {_MAX_ENTRIES} names, got more, by"
+                f" {shown(pattern)}; narrow it"
+            )
+    return sorted(filter(os.path.isfile, places))
 
 
-def _entries(place: Path, limit: int) -> dict[str, bool]:
-    """Names in a directory, at most so many, and whether each is a directory itself; none if it cannot be read."""
+def _names(folder: Path) -> list[str]:
+    """Names in a folder, no more than one beyond what is looked at; none if it cannot be read."""
     try:
-        with os.scandir(place) as entries:
-            return {entry.name: entry.is_dir() for entry in islice(entries, limit)}
+        with os.scandir(folder) as entries:
+            return [entry.name for entry in islice(entries, _MAX_ENTRIES + 1)]
     except OSError:
-        return {}
+        return []
 
 
 # ---------------------------------------------------------------------------------------------- functions

@@ -72,6 +72,9 @@ def distinct(values: tuple[Value, ...]) -> tuple[Value, ...]:
     return tuple(sorted(once(values, n_least=0)))
 
 
+#: Tags of a key that holds one table or a list of such, which are no part of its path.
+SINGLE, SEVERAL = "(single)", "(several)"
+
 #: A list of the file; frozen models hold tuples.
 List = BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
 
@@ -254,6 +257,8 @@ def _place(location: tuple[int | str, ...], table: type[BaseModel]) -> tuple[str
             path += f"[{step}]"
         elif step in choices:  # the name that chose among several is no part of the path
             table, key, choices = choices[step], None, {}
+        elif step in (SINGLE, SEVERAL):
+            continue
         else:
             name = shortened(step, 60) or "''"  # as TOML writes an empty key
             path += f".{name}" if path else name

@@ -5,16 +5,11 @@
 
 from __future__ import annotations
 
-import io
 from collections import Counter
 
-import numpy as np
 import pytest
-import scipy.sparse
 
 from stickslip.pipeline.machine.processes import Child
-from stickslip.pipeline.scene import system_files, systems
-from stickslip.pipeline.scene.readers import npz
 from tests.damaged import DAMAGE, NO_FILES, judge
 
 N_KINDS = len(DAMAGE | NO_FILES)
@@ -35,20 +30,3 @@ def test_a_damaged_file_is_read_right_or_refused_in_a_line(n_files, random_seed,
     assert sum(count["refused"] for count in counts.values()) > n_files / 3
     if n_files > 3 * N_KINDS:  # of few files all may show that they are damaged
         assert sum(count["as it was"] for count in counts.values()) > 0
-
-
-@pytest.mark.parametrize("name", ["friction", "indptr"])
-def test_an_array_that_is_longer_than_there_may_be_blocks_is_not_unpacked(name, monkeypatch):
-    K = scipy.sparse.csc_array(np.eye(3))
-    arrays = {"data": K.data, "indices": K.indices, "indptr": K.indptr, "shape": K.shape, "format": b"csc"}
-    stream = io.BytesIO()
-    np.savez_compressed(stream, **(arrays | {name: np.zeros(1_000_000)}))
-    read = npz._npy
-
-    def reads(one, *rest):
-        assert one != name
-        return read(one, *rest)
-
-    monkeypatch.setattr(npz, "_npy", reads)
-    with pytest.raises(ValueError, match=f"{name}: expected at most \\d+ of them, got 8000128 bytes"):
-        system_files.arrays_of(stream.getvalue(), systems.BY_BLOCK)

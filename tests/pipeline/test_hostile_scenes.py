@@ -29,8 +29,8 @@ SCENES = {
     "brackets": (f"title = {'[' * MANY}\n{SCENE}", "expected TOML"),
     "braces": (f"title = {'{a = ' * MANY}\n{SCENE}", "expected TOML"),
     "values": (SCENE.replace("n = 4", f"n = 4\nkappa = {[0.1] * MANY}"), "expected 1 to 1000 values, got 200000"),
-    "all files": (OF_FILES.format("/**/*"), "system.path: expected at most 10000 files, got "),
-    "all directories": (OF_FILES.format("/**/**/**/x*"), "for which more than 100000 would be looked at"),
+    "all files": (OF_FILES.format("/**/*"), "system.path: expected no **, got '/**/*'; write * for each folder"),
+    "all directories": (OF_FILES.format("/*/*/*/*/*/*/x*"), "system.path: expected at most 10000 files, among 1"),
     "a long pattern": (OF_FILES.format("*a" * 3000), "system.path: expected a file, or several by a pattern"),
     "a key that is a command to a terminal": (
         SCENE + '["\\u001b[31m\\n"]\n',
@@ -78,9 +78,9 @@ def test_patterns_name_what_they_name_in_python(tmp_path, rng):
             (folder / name).touch()
     (tmp_path / "link").symlink_to(tmp_path / "a")
     for pattern in (
-        "*", "*.npz", "**", "**/*.npz", "a/**/K*.npz", "*/*/[Kb]*", "**/a*/**/*.mtx", ".*/*", "**/.*", "a*/../*.npz",
-        "[[]x]/*", "no/*", "**/b[[]1].npz", "lin?/K*", str(tmp_path / "**/K?.npz"),
+        "*", "*.npz", "*/*.npz", "a/*/K*.npz", "*/*/[Kb]*", "*/a*/*.mtx", "a*/../*.npz", "[[]x]/*", "no/*",
+        "*/b[[]1].npz", "lin?/K*", str(tmp_path / "*/K?.npz"),
     ):  # fmt: skip
-        found = glob.glob(pattern, root_dir=tmp_path, recursive=True)
+        found = glob.glob(pattern, root_dir=tmp_path)
         files = {tmp_path / name for name in found if os.path.isfile(tmp_path / name)}
-        assert systems._glob(tmp_path, pattern) == sorted(files), pattern
+        assert systems._matching(tmp_path, pattern) == sorted(files), pattern

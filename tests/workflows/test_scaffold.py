@@ -1,8 +1,7 @@
-"""Before the first run: a scene begun by the command, the schema that editors use, and completion in a shell."""
+"""Before the first run: a scene begun by the command, and the schema that editors use."""
 
 import json
 import re
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -183,36 +182,6 @@ def test_the_list_of_keys_is_the_schema(capsys):
     for key in ("tol", "rtol", "atol"):
         picked = [f"{tolerances[key]:g}" for tolerances in TOLERANCES.values()]
         assert words[f"engine.{key}"].startswith(f"picked, {picked[0]} or {picked[1]} ")
-
-
-@pytest.mark.parametrize(
-    ("line", "expected"),
-    [
-        (["run", "qu"], {"quick"}),
-        (["run", "mi"], {"mine.toml"}),
-        (["status", "ru"], {"runs"}),
-        (["query", "--form"], {"--format"}),
-        (["comp"], {"completion"}),
-        (["completion", "z"], {"zsh"}),
-    ],
-)
-@pytest.mark.parametrize("shell", ["bash", "fish"])
-def test_a_shell_completes(shell, line, expected, tmp_path, capsys):
-    if shutil.which(shell) is None:
-        pytest.skip(f"no {shell} here")
-    (tmp_path / "mine.toml").touch()
-    (tmp_path / "runs").mkdir()
-    assert main(["completion", shell]) == 0
-    script = capsys.readouterr().out
-    words = " ".join(["stickslip", *line])
-    ask = {
-        "bash": f"COMP_WORDS=({words}); COMP_CWORD={len(line)}; _shtab_stickslip;"
-        " printf '%s\\n' \"${COMPREPLY[@]}\"",
-        "fish": f"complete -C '{words}'",
-    }
-    done = subprocess.run([shell, "-c", script + "\n" + ask[shell]], cwd=tmp_path, capture_output=True, text=True)
-    found = {answer.split("\t")[0].rstrip("/") for answer in done.stdout.splitlines()}
-    assert found == expected, done.stderr
 
 
 def test_one_import_has_the_contract():

@@ -13,7 +13,6 @@ from stickslip.pipeline.errors import AddressError, QueryError, SceneError, Sche
 from stickslip.pipeline.machine.processes import frugal, open_streams
 from stickslip.pipeline.machine.signals import Interrupted, interruptible, leave
 from stickslip.workflows.commands.command import UNFINISHED, WRONG, Wrong, listed, scheduler
-from stickslip.workflows.commands.completion import Completion
 from stickslip.workflows.commands.extend import Extend
 from stickslip.workflows.commands.plot import Plot
 from stickslip.workflows.commands.query import Export, Query
@@ -28,7 +27,6 @@ COMMANDS = {
     one.name: one
     for one in (
         Run(), Status(), Verify(), Extend(), Report(), Query(), Export(), Plot(), Scenes(), Init(), Schema(),
-        Completion(),
     )
 }  # fmt: skip
 

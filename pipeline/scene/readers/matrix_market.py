@@ -5,11 +5,11 @@ from __future__ import annotations
 import io
 import re
 import warnings
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from stickslip.pipeline.scene.readers.entries import of_entries
 from stickslip.pipeline.scene.readers.reader import BYTES_OF_ENTRY, Reader, check_whole, fits, square
 
 #: A number of Matrix Market as NumPy's parser of text is to read it.
@@ -69,7 +69,7 @@ class MatrixMarket(Reader):
                 above = len(content[:begin].splitlines())
                 return f"line {above + 1 + filled[entry]}"
 
-            return of_entries(table["row"], table["column"], values, n, sign, line)
+            return _of_entries(table["row"], table["column"], values, n, sign, line)
         fits("stiffness", BYTES_OF_ENTRY * n * n)
         if sign is None:
             return values.reshape((n, n), order="F")
@@ -77,3 +77,30 @@ class MatrixMarket(Reader):
         stiffness = np.zeros((n, n))
         stiffness[row, column], stiffness[column, row] = values, sign * values
         return stiffness
+
+
+def _of_entries(
+    row: np.ndarray, column: np.ndarray, values: np.ndarray, n: int, sign: int | None, line: Callable[[int], str]
+) -> Any:
+    """A sparse matrix from its entries, whose rows and columns count from one; `line` says where an entry stands."""
+    from scipy import sparse  # takes a tenth of a second to load
+
+    outside = (np.minimum(row, column) < 1) | (np.maximum(row, column) > n)
+    if outside.any():
+        k = int(np.argmax(outside))
+        raise ValueError(f"expected rows and columns from 1 to {n}, got ({row[k]}, {column[k]}) at {line(k)}")
+    if sign is not None:
+        across = row != column
+        if sign == -1 and not across.all():
+            k = int(np.argmin(across))
+            raise ValueError(f"expected no entry on the diagonal of a skew-symmetric matrix, got one at {line(k)}")
+        mirrored = np.isin(row * n + column, column[across] * n + row[across])
+        if mirrored.any():
+            k = int(np.flatnonzero(mirrored)[-1])
+            raise ValueError(
+                f"expected one triangle of a symmetric matrix, got ({row[k]}, {column[k]}) at {line(k)} and"
+                f" ({column[k]}, {row[k]}) too; leave out one triangle, or write general in its first line"
+            )
+        row, column = np.concatenate([row, column[across]]), np.concatenate([column, row[across]])
+        values = np.concatenate([values, sign * values[across]])
+    return sparse.coo_array((values, (row - 1, column - 1)), (n, n))

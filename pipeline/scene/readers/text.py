@@ -60,6 +60,9 @@ class Text(Reader):
 
     def columns(self, names: Sequence[str | int]) -> list[np.ndarray]:
         """Some columns, by their headings, or by number from 0; all if none are named."""
+        odd = next((head for head in self._heads if all(map(self._is_number, head))), None)
+        if odd is not None:
+            raise ValueError(f"expected {self._width} columns, as in the last line, got {', '.join(odd)}; correct it")
         return [*self._numbers([self._place(name) for name in names] or range(self._width)).T]
 
     def _place(self, name: str | int) -> int:
