@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import threading
 import traceback
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -94,23 +93,14 @@ def put(child: Child, task: Task, longest: float | None = None) -> Answered:
     from stickslip.analysis.page.parts import Answered
 
     longest = LONGEST if longest is None else longest
-    is_late = threading.Event()
-
-    def end() -> None:
-        is_late.set()
-        child.kill()
-
-    limit = threading.Timer(longest, end)
-    limit.start()
-    try:
-        answered: Answered = child(task)
-    except ChildDied as death:
-        how = "got none" if is_late.is_set() else f"its process ended ({death})"
-        answered = Answered(
-            task.name, problem=f"expected an answer within {longest:g} s, {how}; correct the function"
-        )
-    finally:
-        limit.cancel()
+    with child.within(longest) as is_late:
+        try:
+            answered: Answered = child(task)
+        except ChildDied as death:
+            how = "got none" if is_late.is_set() else f"its process ended ({death})"
+            answered = Answered(
+                task.name, problem=f"expected an answer within {longest:g} s, {how}; correct the function"
+            )
     return answered
 
 

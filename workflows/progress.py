@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TextIO
 from tqdm import tqdm
 
 from stickslip.pipeline.dataset.opened import Opened, open_dataset, rows_that_failed
-from stickslip.pipeline.dataset.status import Follower, Status, status
+from stickslip.pipeline.dataset.status import Status, status
 from stickslip.pipeline.errors import command, printable
 from stickslip.pipeline.places.place import Where
 from stickslip.workflows.printed import unescaped
@@ -41,10 +41,11 @@ def say(directory: Where) -> Status:
 
 def watch(directory: Where) -> Status:
     """Print the status of a dataset repeatedly until no process writes it, and return the last one."""
-    follower = Follower(directory)
+    opened = open_dataset(directory)
     last: list[str] = []
     while True:
-        state = follower.look()
+        opened = opened.again()
+        state = status(opened)
         lines = _status_lines(state)
         if sys.stdout.isatty() and last:
             print(f"\x1b[{len(last)}F\x1b[J", end="", file=unescaped(sys.stdout))  # over the last ones

@@ -217,8 +217,12 @@ class Opened:
         Raises `StoreError` as `open_dataset`.
         """
         manifest = read_manifest(self.place)
-        same = manifest.scene_hash == self.manifest.scene_hash
-        return replace(self, manifest=manifest) if same else open_dataset(self.place)
+        if manifest.scene_hash != self.manifest.scene_hash:
+            return open_dataset(self.place)
+        again = replace(self, manifest=manifest)
+        if manifest.packing == self.manifest.packing:  # else it has grown
+            vars(again)["tasks"] = self.tasks
+        return again
 
 
 #: What to do about a shard that its manifest knows and that cannot be.

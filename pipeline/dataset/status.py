@@ -134,24 +134,6 @@ def status(path: Where | Opened) -> Status:
     return counted(opened, opened.tasks)
 
 
-class Follower:
-    """Looks at a dataset whenever it is asked to, and opens it once.
-
-    Raises `StoreError`: here and on looking, as `status`.
-    """
-
-    def __init__(self, path: Where) -> None:
-        self._opened = open_dataset(path)
-        self._tasks = self._opened.tasks
-
-    def look(self) -> Status:
-        """How far it is now."""
-        earlier, self._opened = self._opened, self._opened.again()
-        if self._opened.manifest.packing != earlier.manifest.packing:  # the scene has grown
-            self._tasks = self._opened.tasks
-        return counted(self._opened, self._tasks)
-
-
 def counted(opened: Opened, tasks: Sequence[Task]) -> Status:
     """The status of a dataset that consists of the shards of `tasks`; raises as `status`."""
     place, shards = opened.place, opened.manifest.shards

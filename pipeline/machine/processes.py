@@ -290,6 +290,22 @@ class Child:
             code = self._process.returncode
             raise ChildDied(f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}") from error
 
+    @contextlib.contextmanager
+    def within(self, seconds: float) -> Iterator[threading.Event]:
+        """Within: the process is killed after so many seconds, which the event tells."""
+        is_late = threading.Event()
+
+        def end() -> None:
+            is_late.set()
+            self.kill()
+
+        limit = threading.Timer(seconds, end)
+        limit.start()
+        try:
+            yield is_late
+        finally:
+            limit.cancel()
+
     def kill(self) -> None:
         """End the process, whatever it is at, and what it has started."""
         if self._process.returncode is None:  # else the number may be another's

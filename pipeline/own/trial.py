@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -85,16 +84,13 @@ def _judged(trial: Trial, problem: str, facts: dict[str, Any]) -> dict[str, Any]
 
 def _answer(child: Child, trial: Trial, times: int) -> tuple[str, dict[str, Any]]:
     """What a child says after some calls, within the time for these."""
-    limit = threading.Timer(LONGEST_TRIAL, child.kill)
     try:
         if trial.ready is not None:
             child((trial, 0))
-        limit.start()
-        return child((trial, times))
+        with child.within(LONGEST_TRIAL):
+            return child((trial, times))
     except ChildDied as death:
         return f"expected {trial.expected} within {LONGEST_TRIAL:g} s, its process died ({death})", {}
-    finally:
-        limit.cancel()
 
 
 def _try(task: tuple[Trial, int]) -> tuple[str, dict[str, Any]]:

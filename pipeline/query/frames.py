@@ -6,7 +6,7 @@ Nothing writes.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, ItemsView, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
@@ -377,8 +377,9 @@ class Recorded(Mapping[str, _Value]):
 
     def _shard(self, k: int) -> _Shard:
         if k not in self._kept:
-            is_recorded, names = pc.field(self._recorded).is_valid(), ["member_id", *self._columns]
-            table = self._opened.table(names, is_recorded, [self._names[k]])
+            ((_, stored),) = self._opened.stored(["member_id", *self._columns], [self._names[k]])
+            table = in_units(stored, self._opened.recording)
+            table = table.filter(pc.is_valid(table[self._recorded]))
             while len(self._kept) >= _SHARDS_KEPT and self._n_bytes() + table.nbytes > _KEPT:
                 del self._kept[next(iter(self._kept))]
             self._kept[k] = _Shard(table)
@@ -409,16 +410,13 @@ class Recorded(Mapping[str, _Value]):
         return key in self._place
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._place)
+        return itertools.chain.from_iterable(self._shard(k).member_ids for k in range(len(self._names)))
 
     def __len__(self) -> int:
         return len(self._place)
 
     def __bool__(self) -> bool:
         return any(self._shard(k).member_ids for k in range(len(self._names)))  # it need not read them all
-
-    def items(self) -> ItemsView[str, _Value]:
-        return _Items(self)
 
 
 class Series(Recorded[tuple[NDArray[np.float64], NDArray[np.int32]]]):
@@ -456,18 +454,6 @@ class Series(Recorded[tuple[NDArray[np.float64], NDArray[np.int32]]]):
     def _likely(self) -> range:
         """The shard that was read last and the one after it: in the order of the members no place is looked up."""
         return range(self._next[0], min(self._next[0] + 2, len(self._names)))
-
-
-class _Items(ItemsView[str, _Value]):
-    """Items in one pass."""
-
-    _mapping: Recorded[_Value]
-
-    def __iter__(self) -> Iterator[tuple[str, _Value]]:
-        mapping = self._mapping
-        for k in range(len(mapping._names)):
-            for row, name in enumerate(mapping._shard(k).member_ids):
-                yield name, mapping._at(k, row)
 
 
 class _Shard:

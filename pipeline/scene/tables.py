@@ -289,7 +289,14 @@ class RecordTable(_Records):  # type: ignore[misc]
         return self
 
 
-class MarginsTable(StrictTable):
+class _Declared(StrictTable):
+    @property
+    def declared(self) -> dict[str, float]:
+        """The numbers that the scene declares, by key."""
+        return {name: number for name, number in self if number is not None}
+
+
+class MarginsTable(_Declared):
     """[analysis.margins]: by how much a changed run may differ from its original and count as equivalent.
 
     Shares of the original's value; without one nothing counts as equivalent.
@@ -303,16 +310,11 @@ class MarginsTable(StrictTable):
         default=None, description="margin of its correlation time", examples=[0.5]
     )
 
-    @property
-    def declared(self) -> dict[str, float]:
-        """The margins that the scene declares, by quantity."""
-        return {name: margin for name, margin in self if margin is not None}
-
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
-class PublishedTable(StrictTable):
+class PublishedTable(_Declared):
     """[analysis.published]: shares of runs by what they settle on, as others report them.
 
     The shares of a record of attractors are set beside them.
@@ -324,11 +326,6 @@ class PublishedTable(StrictTable):
     torus: Share | None = Field(default=None, description="published share on a torus", examples=[0.1])
     irregular: Share | None = Field(default=None, description="published share of chaos", examples=[0.1])
     escaping: Share | None = Field(default=None, description="published share without limit", examples=[0.1])
-
-    @property
-    def declared(self) -> dict[str, float]:
-        """Those that the scene names, by attractor."""
-        return {name: share for name, share in self if share is not None}
 
 
 #: The name of a question, or of a function of the user's own that answers one. The pipeline does not know which there

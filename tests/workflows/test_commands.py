@@ -29,7 +29,7 @@ from stickslip.analysis.page.comparison import compare
 from stickslip.pipeline import Progress, load_scene, query
 from stickslip.pipeline.dataset import opened
 from stickslip.pipeline.dataset.opened import open_dataset
-from stickslip.pipeline.dataset.status import Follower, Pace, Tally
+from stickslip.pipeline.dataset.status import Pace, Tally, status
 from stickslip.pipeline.running import estimate
 from stickslip.pipeline.scene import scene as scene_module
 from stickslip.workflows import export
@@ -497,12 +497,12 @@ def test_the_time_to_go_is_that_of_the_work_left_at_the_pace_since_the_beginning
     copy = shutil.copytree(dataset, tmp_path / "copy")
     monkeypatch.setattr("stickslip.pipeline.dataset.status.time", SimpleNamespace(time=lambda: 1010.0))
     cost = sum(batch.cost for batch, _ in open_dataset(copy).tasks)
-    follower = Follower(copy)
+    looked_at = open_dataset(copy)
     # of four parts one is done, half of it before
-    follower._tasks += [(SimpleNamespace(name="one more", cost=3.0 * cost, members=()), None)]
+    looked_at.tasks.append((SimpleNamespace(name="one more", cost=3.0 * cost, members=()), None))
     pace = Pace(1000.0, 2, 0.5 * cost, -1, 1)  # -1: a shard ago
     (copy / ".lock").write_text(f"process {os.getpid()} on {socket.gethostname()}\nbegan 990.0\n{pace.line}\n")
-    found = follower.look()
+    found = status(looked_at.again())
     assert (found.eta, found.rate) == (pytest.approx(10.0 * 3 / 0.5), pytest.approx(4 / 10.0))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
@@ -108,15 +107,11 @@ def in_child(function: Callable[..., Any], *arguments: Any) -> Any:
 
     Raises `ValueError` with its message if it raises one, dies or takes longer than `_LONGEST`.
     """
-    with Child(_call) as child:
-        limit = threading.Timer(_LONGEST, child.kill)
-        limit.start()
-        try:
+    try:
+        with Child(_call) as child, child.within(_LONGEST):
             problem, answer = child((function, arguments))
-        except ChildDied as death:
-            raise ValueError(f"its reader died ({death}), as of a damaged file") from None
-        finally:
-            limit.cancel()
+    except ChildDied as death:
+        raise ValueError(f"its reader died ({death}), as of a damaged file") from None
     if problem:
         raise ValueError(problem)
     return answer
