@@ -48,8 +48,8 @@ class Opened:
     manifest: Manifest
 
     def __getstate__(self) -> dict[str, Any]:
-        """What goes to another process: its tasks, that a worker gets without their numbering, are planned there."""
-        return {name: value for name, value in self.__dict__.items() if name != "tasks"}
+        """What goes to another process: the rest, as its tasks, is found there."""
+        return {"place": self.place, "scene": self.scene, "manifest": self.manifest}
 
     @cached_property
     def tasks(self) -> list[Task]:

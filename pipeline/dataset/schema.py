@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 
 from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.places.manifest import SCHEMA_VERSION
-from stickslip.pipeline.scene.columns import COLUMNS, FIXED, Recording
+from stickslip.pipeline.scene.columns import COLUMNS, Recording
 from stickslip.version import __version__
 
 
@@ -79,10 +79,6 @@ def _times(array: pa.Array, scale: float) -> pa.Array:
     return pa.ListArray.from_arrays(
         array.offsets, values, array.type, mask=array.is_null() if array.null_count else None
     )
-
-
-#: One row a member; null where a value does not apply.
-SCHEMA = pa.schema(as_fields(FIXED))
 
 
 def schema_of(recording: Recording) -> pa.Schema:

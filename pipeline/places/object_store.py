@@ -93,11 +93,20 @@ class Prefix(Place):
                 yield from pool.map(self._read_if_there, names[start : start + AT_ONCE])
 
     def sizes(self, names: Sequence[str]) -> list[int | None]:
+        """Of few objects each is asked for; of many all are listed."""
+        if len(names) <= AT_ONCE:
+            with ThreadPoolExecutor(AT_ONCE) as pool:
+                return list(pool.map(self._size, names))
         sizes = {}
         with contextlib.suppress(FileNotFoundError):
             for entry in self._patiently(DATA, lambda: self.system.ls(self.key(DATA), detail=True)):
                 sizes[entry["name"].strip("/")] = int(entry["size"] or 0)
         return [sizes.get(self.key(name).strip("/")) for name in names]
+
+    def _size(self, name: str) -> int | None:
+        with contextlib.suppress(FileNotFoundError):
+            return int(self._patiently(name, lambda: self.system.info(self.key(name)))["size"] or 0)
+        return None
 
     def replace(self, name: str, content: bytes) -> None:
         self._patiently(name, lambda: self.system.pipe_file(self.key(name), content))

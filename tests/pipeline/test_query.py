@@ -18,14 +18,15 @@ import pytest
 
 from stickslip.pipeline import QueryError, Scene, StoreError, expand, parse_scene, query, run_ensemble
 from stickslip.pipeline.dataset.opened import open_dataset
-from stickslip.pipeline.dataset.schema import SCHEMA, scalars
+from stickslip.pipeline.dataset.schema import as_fields, scalars
 from stickslip.pipeline.ensemble import pack
 from stickslip.pipeline.query import database
+from stickslip.pipeline.scene.columns import FIXED
 
 
 def test_members_table(finished, scene):
     frame = query.members(finished)
-    assert list(frame.columns) == list(scalars(SCHEMA))
+    assert list(frame.columns) == list(scalars(pa.schema(as_fields(FIXED))))
     assert list(frame["member_id"]) == [member.member_id for member in expand(scene)]
     assert frame["n"].dtype == np.int32
     assert frame["t_stop"].dtype == np.float64

@@ -28,13 +28,13 @@ from stickslip.pipeline import (
     status,
     verify,
 )
-from stickslip.pipeline.dataset.schema import SCHEMA, scalars, schema_of
+from stickslip.pipeline.dataset.schema import scalars, schema_of
 from stickslip.pipeline.dataset.writer import Store
 from stickslip.pipeline.places import directory, object_store, plain
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.manifest import read_manifest
 from stickslip.pipeline.running.worker import compute
-from stickslip.pipeline.scene.columns import DESIGN
+from stickslip.pipeline.scene.columns import DESIGN, FIXED
 from tests.scenes import COULOMB, ensemble
 
 ROOT = Path(pipeline.__file__).parents[1]
@@ -94,7 +94,7 @@ def test_every_column_is_described_and_holds_no_nan(finished):
 def test_without_recording_there_are_no_event_columns(source, tmp_path):
     text = source.replace(b"events = true", b"events = false").replace(b"matrices = 3", b"matrices = 1")
     run_ensemble(parse_scene(text), tmp_path / "out", workers=0)
-    assert all(table.schema.names == SCHEMA.names for table in tables(tmp_path / "out"))
+    assert all(table.schema.names == [column.name for column in FIXED] for table in tables(tmp_path / "out"))
 
 
 # ------------------------------------------------------------------------------------------ crashes
