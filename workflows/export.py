@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import stat
 import sys
@@ -24,7 +25,6 @@ from stickslip.pipeline.places import plain
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
-from stickslip.workflows.printed import Terminal
 
 Form = Literal["table", "csv", "parquet"]
 
@@ -74,6 +74,10 @@ def write(batches: pa.RecordBatchReader, form: Form, out: Path | None, dataset: 
         raise QueryError("the standard output is closed; name a file by --out")
     elif form == "parquet" and sys.stdout.isatty():
         raise QueryError("--format: parquet is not for reading; name a file by --out, or send it to a program by |")
+    elif sys.stdout.isatty():
+        text = io.BytesIO()
+        _write(batches, form, text)
+        print(text.getvalue().decode(), end="")  # without what a terminal obeys
     else:
         _write(batches, form, sys.stdout.buffer)
 
@@ -83,7 +87,7 @@ def _write(batches: pa.RecordBatchReader, form: Form, stream: BinaryIO) -> None:
         if form == "table":
             stream.write(_table(batches).encode())
         elif form == "csv":
-            with pa.csv.CSVWriter(Terminal(stream) if stream.isatty() else stream, batches.schema) as writer:
+            with pa.csv.CSVWriter(stream, batches.schema) as writer:
                 for batch in batches:
                     writer.write_batch(_as_texts(batch))
         else:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import codecs
 import contextlib
 import sys
 from collections.abc import Iterator
-from typing import IO, Any, TextIO
+from typing import Any, TextIO
 
 from stickslip.pipeline.errors import printable
 
@@ -42,22 +41,3 @@ def printed() -> Iterator[None]:
     out, err = (None if stream is None else Printed(stream) for stream in (sys.stdout, sys.stderr))
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         yield
-
-
-class Terminal:
-    """A stream of bytes to a terminal, to which a text in UTF-8 is written as `Printed` writes it."""
-
-    closed = False
-
-    def __init__(self, stream: IO[bytes]) -> None:
-        self._stream = stream
-        self._decoded = codecs.getincrementaldecoder("utf-8")("replace").decode
-
-    def write(self, content: bytes) -> int:
-        """Write a part of the text."""
-        self._stream.write(printable(self._decoded(bytes(content))).encode())
-        return len(content)
-
-    def flush(self) -> None:
-        """Have the terminal show it."""
-        self._stream.flush()
