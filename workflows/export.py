@@ -1,4 +1,4 @@
-"""An answer of the dataset as a table to read, as CSV or as Parquet."""
+"""An answer of the dataset as a table to read, as CSV, as Parquet or for MATLAB."""
 
 from __future__ import annotations
 
@@ -25,8 +25,9 @@ from stickslip.pipeline.places import plain
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
+from stickslip.workflows import matlab
 
-Form = Literal["table", "csv", "parquet"]
+Form = Literal["table", "csv", "parquet", "mat"]
 
 #: Most rows of a table that a person may want to read.
 _SHOWN = 1000
@@ -36,7 +37,7 @@ _SHOWN = 1000
 _NULL = "NULL"
 
 #: Form by the ending of a file's name.
-_ENDINGS: dict[str, Form] = {".csv": "csv", ".parquet": "parquet", ".txt": "table", "": "table"}
+_ENDINGS: dict[str, Form] = {".csv": "csv", ".parquet": "parquet", ".mat": "mat", ".txt": "table", "": "table"}
 
 
 def form_of(asked: Form | None, out: Path | None) -> Form:
@@ -52,7 +53,8 @@ def form_of(asked: Form | None, out: Path | None) -> Form:
     ending = out.suffix.lower() if out is not None else ""
     if ending not in _ENDINGS:
         raise QueryError(
-            f"--out: expected a file named .csv, .parquet or .txt, got {out}; name it so, or say its form by --format"
+            f"--out: expected a file named .csv, .parquet, .mat or .txt, got {out}; name it so, or say its form by"
+            " --format"
         )
     return _ENDINGS[ending]
 
@@ -72,8 +74,8 @@ def write(batches: pa.RecordBatchReader, form: Form, out: Path | None, dataset: 
             _write(batches, form, stream)
     elif sys.stdout is None:
         raise QueryError("the standard output is closed; name a file by --out")
-    elif form == "parquet" and sys.stdout.isatty():
-        raise QueryError("--format: parquet is not for reading; name a file by --out, or send it to a program by |")
+    elif form in ("parquet", "mat") and sys.stdout.isatty():
+        raise QueryError(f"--format: {form} is not for reading; name a file by --out, or send it to a program by |")
     elif sys.stdout.isatty():
         text = io.BytesIO()
         _write(batches, form, text)
@@ -86,6 +88,8 @@ def _write(batches: pa.RecordBatchReader, form: Form, stream: BinaryIO) -> None:
     try:
         if form == "table":
             stream.write(_table(batches).encode())
+        elif form == "mat":
+            stream.write(matlab.encoded(batches.read_all()))
         elif form == "csv":
             with pa.csv.CSVWriter(stream, batches.schema) as writer:
                 for batch in batches:

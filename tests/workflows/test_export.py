@@ -20,6 +20,7 @@ import netCDF4
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.io import loadmat
 
 from stickslip.analysis.page.build import Report
 from stickslip.analysis.page.parts import Drawn
@@ -279,6 +280,37 @@ def test_a_text_in_csv_is_no_formula(text, some_failed, tmp_path):
     query = f"SELECT '{text}' AS words, -1 AS number, 'a=b' AS other"
     assert main(["query", str(some_failed), query, "--out", str(file)]) == 0
     assert pd.read_csv(file, lineterminator="\n").iloc[0].tolist() == [f"'{text}", -1, "a=b"]
+
+
+def test_matlab_reads_numbers_texts_lists_and_nulls(some_failed, tmp_path):
+    """As `scipy.io.loadmat` does; what it reads is what `query.sql` has."""
+    asked = (
+        "SELECT member_id, n, n_stick_end, reason, n > 3 AS is_large, sum(n) OVER () AS whole, [n, NULL] AS pair"
+        " FROM members ORDER BY member_id"
+    )
+    assert main(["query", str(some_failed), asked, "--out", str(tmp_path / "a.mat")]) == 0
+    stored, table = loadmat(tmp_path / "a.mat"), query.sql(some_failed, asked)
+    for name in ("n", "is_large", "whole", "n_stick_end"):
+        expected = table[name].to_numpy(np.float64, na_value=np.nan)
+        np.testing.assert_array_equal(stored[name].ravel(), expected)
+    assert np.isnan(stored["n_stick_end"]).any()
+    for name in ("member_id", "reason"):
+        texts = [cell[0] if cell.size else "" for cell in stored[name].ravel()]
+        assert texts == table[name].fillna("").tolist()
+    np.testing.assert_array_equal(stored["pair"][0, 0].ravel(), [table["n"][0], np.nan])
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ("SELECT count(*) FROM members", "got 'count_star()'; name it in the query"),
+        ("SELECT {'a': 1} AS both FROM members", "got 'both', which holds struct"),
+    ],
+)
+def test_what_matlab_cannot_hold_is_refused_by_name(asked, words, some_failed, tmp_path, capsys):
+    assert main(["query", str(some_failed), asked, "--out", str(tmp_path / "a.mat")]) != 0
+    assert words in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can have links of another user")

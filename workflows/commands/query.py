@@ -26,7 +26,7 @@ class Query(Command):
         parser.add_argument("sql", metavar="SQL")
         parser.add_argument(
             "--format",
-            choices=("table", "csv", "parquet"),
+            choices=("table", "csv", "parquet", "mat"),
             help="format of the answer (default: from the ending of FILE, else a table)",
         )
         parser.add_argument(
