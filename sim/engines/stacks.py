@@ -200,9 +200,8 @@ class Several(ABC):
         self.lengths[first] = drive.length
         stack = Stack(self.models, self.work, self.goal(drive), self.states, self._slips, self.events_a_step)
         kernel, arguments = self.kernel, (stack, events, self.collapse[first].precheck, first, slices)
-        is_of_one_type = self.is_of_one_type and self.collapse[first].precheck.limit == 0.0
-        (_CODE.get(kernel, kernel) if is_of_one_type else kernel)(*arguments)
-        if is_of_one_type and kernel not in _CODE:
+        (_CODE.get(kernel, kernel) if self.is_of_one_type else kernel)(*arguments)
+        if self.is_of_one_type and kernel not in _CODE:
             _CODE[kernel] = code_of(kernel, *arguments)
 
     def slice(self, k: int, events: Events, bound: float) -> tuple[int, int]:
