@@ -29,6 +29,7 @@ from stickslip.pipeline.design.labels import Label
 from stickslip.sim.engines import place
 
 LARGE = 0.1  # share of episodes that count as large where there is no peak
+_QUANTITIES = {**QUANTITIES, **REST, **SLOW_DRIVE}
 _READ = ["start", "end", "size", "moment", "z_sum", "elapsed"]
 
 
@@ -42,20 +43,14 @@ class Catalogues:
         By unit.
     confidence : float
         Of intervals.
-    sums : dict of str to UnitSums
-        Sums of each quantity by unit, for contrasts; filled by `summarise`.
     method : Label
         What tells it from the other groups.
-    estimates : dict of str to Estimate
-        Of each quantity; filled by `summarise`.
     """
 
     group: Group
     runs: dict[int, list[Catalogue]]
     confidence: float
-    sums: dict[str, UnitSums] = field(default_factory=dict)
     method: Label = field(default_factory=Label)
-    estimates: dict[str, Estimate] = field(default_factory=dict)
 
     @property
     def label(self) -> str:
@@ -68,6 +63,25 @@ class Catalogues:
     @property
     def n_episodes(self) -> int:
         return sum(len(run.start) for run in self.each())
+
+    @cached_property
+    def sums(self) -> dict[str, UnitSums]:
+        """Sums of each quantity by unit, of runs in which it is known."""
+        units = np.array([unit for unit, runs in self.runs.items() for _ in runs])
+        of_runs = {
+            name: np.array([quantity.sums(run) for run in self.each()], dtype=np.float64)
+            for name, quantity in _QUANTITIES.items()
+        }
+        known = {name: np.isfinite(rows).all(axis=1) for name, rows in of_runs.items()}
+        return {name: UnitSums.of(units[known[name]], rows[known[name]]) for name, rows in of_runs.items()}
+
+    @cached_property
+    def estimates(self) -> dict[str, Estimate]:
+        """Each quantity, with its interval over units."""
+        return {
+            name: over_matrices(_QUANTITIES[name].of, sums.counted.rows, self.confidence)
+            for name, sums in self.sums.items()
+        }
 
     @cached_property
     def whole(self) -> Estimate:
@@ -213,13 +227,3 @@ def bent(groups: Iterable[Catalogues]) -> list[Alert]:
         return []
     first, last, where = max(ends, key=lambda end: abs(end[1] - end[0]))
     return [Alert.of(Code.BENDS, where=f" ({where})", first=f"{first:.2f}", last=f"{last:.2f}")]
-
-
-def summarise(group: Catalogues) -> None:
-    """Fill in the statistics of a group, each with its interval over units."""
-    units = np.array([unit for unit, runs in group.runs.items() for _ in runs])
-    for name, quantity in {**QUANTITIES, **REST, **SLOW_DRIVE}.items():
-        rows = np.array([quantity.sums(run) for run in group.each()], dtype=np.float64)
-        is_known = np.isfinite(rows).all(axis=1)
-        group.sums[name] = UnitSums.of(units[is_known], rows[is_known])
-        group.estimates[name] = over_matrices(quantity.of, group.sums[name].counted.rows, group.confidence)

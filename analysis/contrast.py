@@ -57,8 +57,8 @@ class Statistic:
         How it follows from two sums.
     margin : float, optional
         The largest relative difference that the scene declares to be none.
-    least, most : float, optional
-        What it is never below, and never above.
+    least : float, optional
+        What it is never below.
     title : str
         What it is called in a sentence, a noun phrase without article; empty: its name.
     definition : str
@@ -71,7 +71,6 @@ class Statistic:
     of: estimates.Statistic
     margin: float | None = None
     least: float | None = None
-    most: float | None = None
     title: str = ""
     definition: str = ""
     things: str = ""
@@ -87,7 +86,7 @@ class Statistic:
 
     def estimate(self, sums: UnitSums, confidence: float) -> Estimate:
         """Its value on some units, with an interval over these."""
-        return within(over_matrices(self.of, sums.rows, confidence), self.least, self.most)
+        return within(over_matrices(self.of, sums.rows, confidence), self.least)
 
     def test(self, first: UnitSums, second: UnitSums, paired: bool, is_relative: bool) -> Test:
         """By how much the second is larger, or that in units of the first's size; may raise `Undefined`."""

@@ -332,8 +332,6 @@ class Law:
         The predicate of what is `Fit.CLOSE`; by default "nearly", and the predicate.
     called : str
         What the parameter is called beside the subject; by default the name of its quantity.
-    p_value : float, optional
-        Of data that follow the law.
     """
 
     subject: str
@@ -343,7 +341,6 @@ class Law:
     departure: Level | None = None
     nearly: str = ""
     called: str = ""
-    p_value: float | None = None
 
 
 @dataclass(frozen=True)

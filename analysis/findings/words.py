@@ -32,7 +32,7 @@ from stickslip.analysis.findings.finding import (
     Turn,
     Verdict,
 )
-from stickslip.analysis.findings.numbers import bare, decimals, is_exact, limit, number, signs, span, with_interval
+from stickslip.analysis.findings.numbers import bare, decimals, is_exact, number, signs, span, with_interval
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.stats.estimates import Estimate
 
@@ -352,10 +352,8 @@ def _law(law: Law) -> str:
             predicate = law.nearly or f"nearly {law.predicate}"
             return f"{level.where.head}{law.subject} {predicate}: {parameter}"
         case Fit.FAILS:
-            p = "" if law.p_value is None else f"p \u2264 {limit(law.p_value)}"
-            far = "" if law.departure is None else _level(replace(law.departure, where=EVERYWHERE))
-            details = "; ".join(filter(None, (far, p)))
-            return f"{level.where.head}{law.subject} do not {law.predicate}" + f" ({details})" * bool(details)
+            far = "" if law.departure is None else f" ({_level(replace(law.departure, where=EVERYWHERE))})"
+            return f"{level.where.head}{law.subject} do not {law.predicate}{far}"
         case Fit.OPEN:
             return f"whether {law.subject}{level.where.tail} {law.predicate} is open; {_level(level)}"
 

@@ -329,10 +329,10 @@ def bends(magnitudes: Magnitudes, confidence: float) -> bool:
     return square.low is not None and square.high is not None and not square.low <= 0 <= square.high
 
 
-def by_least(magnitudes: Magnitudes, confidence: float, step: float = 0.5) -> list[tuple[float, int, Estimate]]:
+def by_least(magnitudes: Magnitudes, confidence: float) -> list[tuple[float, int, Estimate]]:
     """b on the upper part of the range, from its least magnitude and from every half above it: (least, events, b)."""
     rows: list[tuple[float, int, Estimate]] = []
-    for first in range(0, magnitudes.counts.shape[1] - int(DECADE / 2 / WIDTH), round(step / WIDTH)):
+    for first in range(0, magnitudes.counts.shape[1] - int(DECADE / 2 / WIDTH), round(0.5 / WIDTH)):
         counts, least = magnitudes.counts[:, first:], magnitudes.least + WIDTH * first
         n = int(counts.sum())
         if n < FEWEST:

@@ -22,9 +22,9 @@ def patterns(n: int, rng: np.random.Generator) -> np.ndarray:
     return signs
 
 
-def floor(n: int, n_extreme: int = 2) -> float:
-    """The least possible p-value of n systems, where so many patterns of signs give the most extreme statistic."""
-    return max(n_extreme / 2**n, 1 / PATTERNS)
+def floor(n: int) -> float:
+    """The least possible p-value of n systems: two patterns of signs give the most extreme statistic."""
+    return max(2 / 2**n, 1 / PATTERNS)
 
 
 def p_value(values: np.ndarray, least: float) -> float:

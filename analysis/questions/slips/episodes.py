@@ -21,7 +21,6 @@ from stickslip.analysis.catalogues import (
     bent,
     fineness,
     read,
-    summarise,
     systems,
 )
 from stickslip.analysis.contrast import Contrast, Statistic, contrast
@@ -218,7 +217,6 @@ def answer(study: Study) -> Answer | None:
         return Answer(findings=[Lack("episodes", Reason.NOTHING_COUNTED, why)])
     for group, method in zip(groups, names(groups), strict=True):
         group.method = method
-        summarise(group)
     counted = [group for group in groups if not _is_blurred(group)]
     by_system, judged = systems(counted), [group for group in counted if group.is_judged]
     tables = {"episodes": frame_by(_GROUPS, groups)}
