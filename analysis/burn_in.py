@@ -23,9 +23,9 @@ from stickslip.analysis.series.runs import Ended, Runs
 from stickslip.analysis.series.windows import in_parts, windows
 from stickslip.analysis.stats.compare import against
 from stickslip.analysis.stats.enough import LEAST_MATRICES
-from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio, within
-from stickslip.analysis.stats.multiplicity import holm
-from stickslip.analysis.style import EXACT, GREY, panel
+from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio, with_ends, within
+from stickslip.analysis.stats.multiplicity import together
+from stickslip.analysis.style import EXACT, GREY, bars, panel
 
 #: Other values of t_burn that estimates are made with: shares of the chosen one, and of the time after it.
 BEFORE, AFTER = (0.0, 0.5), (0.125, 0.25, 0.5)
@@ -85,10 +85,8 @@ def geweke(study: Study, groups: Sequence[Group]) -> list[Tested]:
                 group.label, study.settings.t_burn, len(sums), len(members), len(group), early, p, None, False, reason
             )
         )
-    tested = [k for k, row in enumerate(rows) if row.p_value is not None]
-    for k, p in zip(tested, holm([rows[k].p_value or 0.0 for k in tested]).tolist(), strict=True):
-        rows[k] = rows[k]._replace(p_adjusted=p, is_short=p < 1 - level)
-    return rows
+    adjusted = zip(rows, together(row.p_value for row in rows), strict=True)
+    return [row._replace(p_adjusted=p, is_short=p is not None and p < 1 - level) for row, p in adjusted]
 
 
 def estimates(study: Study, group: Group) -> list[AtBurn]:
@@ -161,8 +159,7 @@ def _episodes(study: Study, members: np.ndarray, t_burn: float) -> np.ndarray:
 @panel()
 def by_t_burn(ax: Axes, rows: Sequence[AtBurn], t_burn: float) -> None:
     """The estimates of one group with several t_burn, with their intervals; the chosen one is dashed."""
-    points = [(row.t_burn, row.value.value, row.value.low, row.value.high) for row in rows]
-    t, value, low, high = np.array(points, dtype=np.float64).T
     ax.axvline(t_burn, color=GREY, linewidth=0.8, linestyle="--")
-    ax.errorbar(t, value, yerr=[value - low, high - value], fmt="o-", color=EXACT, markersize=3, linewidth=0.8)
+    t = [row.t_burn for row in rows]
+    bars(ax, t, with_ends(row.value for row in rows), fmt="o-", color=EXACT, markersize=3, linewidth=0.8)
     ax.set(xlabel="$t_{burn}$", ylabel=rows[0].quantity)

@@ -40,7 +40,7 @@ from stickslip.analysis.stats.compare import (
 )
 from stickslip.analysis.stats.enough import FEW_MATRICES, LEAST_MATRICES
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums, over_matrices, ratio, within
-from stickslip.analysis.stats.multiplicity import holm
+from stickslip.analysis.stats.multiplicity import together
 
 _NO_VALUE = Estimate()
 
@@ -345,9 +345,9 @@ _TURNS = {Course.MINIMUM: (Verdict.LESS, Verdict.MORE), Course.MAXIMUM: (Verdict
 
 def judged(contrasts: Sequence[Contrast], alpha: float) -> list[Contrast]:
     """Contrasts as a family: p-values of a difference are adjusted by Holm's rule over all."""
-    p_values = {k: contrast.p_different for k, contrast in enumerate(contrasts) if contrast.p_different is not None}
-    adjusted = dict(zip(p_values, holm([*p_values.values()]).tolist(), strict=True))
+    p_values = together(contrast.p_different for contrast in contrasts)
+    n_tests = sum(p is not None for p in p_values)
     return [
-        replace(contrast, family=Family(len(p_values), adjusted[k], alpha)) if k in p_values else contrast
-        for k, contrast in enumerate(contrasts)
+        contrast if p is None else replace(contrast, family=Family(n_tests, p, alpha))
+        for contrast, p in zip(contrasts, p_values, strict=True)
     ]

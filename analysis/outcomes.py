@@ -17,6 +17,7 @@ from stickslip.analysis.answer import Picture
 from stickslip.analysis.findings.finding import Form, Outcomes, Scale, Verdict
 from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.place import EVERYWHERE
+from stickslip.analysis.stats.estimates import with_ends
 from stickslip.analysis.steps import Setting, Step
 from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PURPLE, SMOOTHED, panel
 
@@ -114,8 +115,7 @@ def forest(steps: Sequence[Step], what: str, name: str = "contrasts") -> dict[st
 
 def _axis(steps: Sequence[Step]) -> tuple[np.ndarray, float]:
     """Differences with the ends of their intervals in per cent, shape (k, 3), and where the axis ends."""
-    estimates = [step.contrast.difference.estimate for step in steps]
-    ends = 100.0 * np.array([(estimate.value, estimate.low, estimate.high) for estimate in estimates], dtype=float)
+    ends = 100.0 * with_ends(step.contrast.difference.estimate for step in steps).T
     reach = np.abs(ends).max(axis=1)
     return ends, 1.08 * min(reach.max(), 4.0 * float(np.median(reach))) or 1.0
 

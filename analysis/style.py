@@ -15,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike
 
 from stickslip.analysis.pictures import BLUE as BLUE
 from stickslip.analysis.pictures import CYCLE as CYCLE
@@ -23,7 +24,7 @@ from stickslip.analysis.pictures import GREY as GREY
 from stickslip.analysis.pictures import ORANGE as ORANGE
 from stickslip.analysis.pictures import PURPLE as PURPLE
 from stickslip.analysis.pictures import by_defaults
-from stickslip.analysis.stats.estimates import Estimate
+from stickslip.analysis.stats.estimates import Estimate, with_ends
 
 STYLE: Any = {
     "font.size": 9,
@@ -140,6 +141,12 @@ def panel(
     return of
 
 
+def bars(ax: Axes, x: ArrayLike, ends: np.ndarray, **look: Any) -> None:
+    """Draw estimates with their intervals against x; `ends` as of `stats.estimates.with_ends`."""
+    value, low, high = ends
+    ax.errorbar(x, value, [value - low, high - value], **look)
+
+
 _MOST_MARKS = 400  # of a forest: more are drawn as an image
 
 
@@ -157,9 +164,7 @@ def forest(
 
     Systems without a value are left out. `null` is a value to compare with, and its name: a dashed line.
     """
-    ends = np.array(
-        [(estimate.value, estimate.low, estimate.high) for estimate in systems], dtype=np.float64
-    ).reshape(-1, 3)
+    ends = with_ends(systems).T
     by_size = ends[np.argsort(ends[:, 0])]  # None is NaN, which comes last and is not drawn
     value, low, high = by_size[~np.isnan(by_size[:, 0])].T
     rows, is_image = np.arange(len(value)), len(value) > _MOST_MARKS

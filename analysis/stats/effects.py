@@ -1,27 +1,21 @@
-"""Ratio of a quantity to its value under a null model, with its interval, for several comparisons at once."""
+"""Ratio of a quantity to its value under a null model, with its interval."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from stickslip.analysis.stats.compare import against
 from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined
-from stickslip.analysis.stats.multiplicity import holm
 
 
 @dataclass(frozen=True)
 class Effect:
-    """Ratio of the observed value to that of the null.
-
-    `p` is the p-value of a ratio of 1, alone, and `p_adjusted` that for the comparisons made together (`together`).
-    """
+    """Ratio of the observed value to that of the null, and the p-value of a ratio of 1."""
 
     ratio: Estimate
     p: float | None = None
-    p_adjusted: float | None = None
 
 
 def over_null(of: Statistic, observed: np.ndarray, null: np.ndarray, confidence: float) -> Effect:
@@ -48,10 +42,3 @@ def over_null(of: Statistic, observed: np.ndarray, null: np.ndarray, confidence:
         return Effect(Estimate(reason=str(undefined)))
     value, low, high = (float(np.exp(x)) for x in (test.difference, *test.interval(confidence)))
     return Effect(Estimate(value, low, high), test.p_different)
-
-
-def together(effects: Sequence[Effect]) -> list[Effect]:
-    """The effects with p-values adjusted by Holm's rule."""
-    p_values = {k: effect.p for k, effect in enumerate(effects) if effect.p is not None}
-    adjusted = dict(zip(p_values, holm([*p_values.values()]).tolist(), strict=True))
-    return [replace(effect, p_adjusted=adjusted.get(k)) for k, effect in enumerate(effects)]

@@ -48,6 +48,12 @@ class Estimate:
         return f"Estimate({value}{interval}{self.reason and f': {self.reason}'})"
 
 
+def with_ends(estimates: Iterable[Estimate]) -> np.ndarray:
+    """Values, lower and upper ends of estimates, shape (3, m), with NaN for none."""
+    rows = [(estimate.value, estimate.low, estimate.high) for estimate in estimates]
+    return np.array(rows, dtype=np.float64).reshape(-1, 3).T
+
+
 def within(estimate: Estimate, least: float | None = None, most: float | None = None) -> Estimate:
     """An estimate whose interval does not go beyond what the number can be, by what it is.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -15,3 +15,10 @@ def holm(p: Sequence[float]) -> np.ndarray:
     adjusted = np.empty_like(values)
     adjusted[order] = np.minimum(steps, 1.0)
     return adjusted
+
+
+def together(p_values: Iterable[float | None]) -> list[float | None]:
+    """p-values of comparisons that are made together, by Holm's rule; one that has none is no comparison."""
+    alone = list(p_values)
+    adjusted = iter(holm([p for p in alone if p is not None]).tolist())
+    return [None if p is None else next(adjusted) for p in alone]

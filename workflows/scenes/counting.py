@@ -48,8 +48,17 @@ from stickslip.analysis.series.cascades import EVENTS, Window, sums
 from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, gamma, over_matrices, ratio
-from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, forest, panel
+from stickslip.analysis.stats.estimates import (
+    LN2,
+    Estimate,
+    Statistic,
+    Undefined,
+    gamma,
+    over_matrices,
+    ratio,
+    with_ends,
+)
+from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, bars, forest, panel
 
 EXCESS, VARIANCE, SCALED = r"$\gamma/\ln 2-1$", "$np(1-p)$", r"$np(1-p)\,(\gamma/\ln 2-1)$"  # on the axes
 #: Largest number of times that a run's blocks are shifted: their rate is known that much better than the run's.
@@ -307,14 +316,10 @@ def _lines(ax: Axes, groups: Sequence[Counted], scaled: bool) -> None:
         ("excess", "o", EXACT, EXACT, "runs: coupling too"),
     )
     for name, mark, colour, face, label in forms:
-        estimates = [counts.estimates[name] for counts in groups]
-        ends = [(estimate.value, estimate.low, estimate.high) for estimate in estimates]
-        value, low, high = np.array(ends, dtype=np.float64).T * scale
+        ends = with_ends(counts.estimates[name] for counts in groups) * scale
         for which, alpha, words in ((is_judged, 1.0, label), (~is_judged, 0.35, "")):
-            ax.errorbar(
-                x[which], value[which], yerr=[(value - low)[which], (high - value)[which]], fmt=mark, color=colour,
-                markersize=3.8, markerfacecolor=face, linewidth=0.9, label=words, alpha=alpha,
-            )  # fmt: skip
+            look = {"fmt": mark, "color": colour, "markerfacecolor": face, "label": words, "alpha": alpha}
+            bars(ax, x[which], ends[:, which], markersize=3.8, linewidth=0.9, **look)
     ax.set_xscale("log")
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     ax.xaxis.set_major_formatter(lambda tick, _: f"{tick:g}")

@@ -34,9 +34,9 @@ from stickslip.analysis.models.common_motion import Number
 from stickslip.analysis.questions.slips.slow_motion import Slow, slow_motion
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import Compared
-from stickslip.analysis.stats.estimates import Estimate, jackknife_error
+from stickslip.analysis.stats.estimates import Estimate, jackknife_error, with_ends
 from stickslip.analysis.stats.multiplicity import holm
-from stickslip.analysis.style import EXACT, GREEN, ORANGE, PURPLE, SMOOTHED, panel
+from stickslip.analysis.style import EXACT, GREEN, ORANGE, PURPLE, SMOOTHED, bars, panel
 from stickslip.pipeline.design.values import shown
 
 KEYS = ("n", "kappa", "rho", "belt_speed")
@@ -252,11 +252,9 @@ def periods(ax: Axes, lines: Sequence[Along]) -> None:
     sign = -1.0 if is_of_size else 1.0
     for k, line in enumerate(lines):
         x = [sign * float(motion.group.key[line.key]) for motion in line.groups]
-        estimates = [motion.fit.estimates[Number.PERIOD] for motion in line.groups]
-        ends = np.array([(period.value, period.low, period.high) for period in estimates], dtype=np.float64)
-        y, off = ends[:, 0], np.abs(ends[:, 1:] - ends[:, :1]).T
+        periods = with_ends(motion.fit.estimates[Number.PERIOD] for motion in line.groups)
         colour, form = (EXACT, SMOOTHED, GREEN, PURPLE, ORANGE)[k % 5], f"{'os^Dv'[k % 5]}-"
-        ax.errorbar(x, y, off, fmt=form, color=colour, markersize=3.5, linewidth=0.9, label=str(line.at))
+        bars(ax, x, periods, fmt=form, color=colour, markersize=3.5, linewidth=0.9, label=str(line.at))
     ax.set(xlabel=f"|{lines[0].key}|" if is_of_size else lines[0].key, ylabel="natural period")
     if len(lines) > 1:
         ax.figure.legend(loc="outside lower center", ncols=2)

@@ -18,7 +18,7 @@ from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.words import capital, listed
 from stickslip.analysis.grid import Grid, is_negative, points_at
 from stickslip.analysis.measures import KEYS, STICKING, Measure
-from stickslip.analysis.stats.estimates import Estimate
+from stickslip.analysis.stats.estimates import Estimate, with_ends
 from stickslip.analysis.steps import Step
 from stickslip.analysis.style import EXACT, panel
 from stickslip.pipeline.design.design import Axis, in_words
@@ -114,12 +114,12 @@ def curves(
     """
     places = np.arange(len(ticks), dtype=float) if x is None else np.array(x)
     is_log = x is not None and _spans_decades(places)
-    ends = np.array([[(e.value, e.low, e.high) for e in line] for _, line in lines], dtype=float)  # NaN: none
-    values = ends[..., 0][np.isfinite(ends[..., 0])]
+    ends = np.array([with_ends(line) for _, line in lines])
+    values = ends[:, 0][np.isfinite(ends[:, 0])]
     is_decades = _spans_decades(values)
     floor = values.max() / 10.0**MOST_DECADES if is_decades else -np.inf
     colours = [EXACT] if len(lines) == 1 else matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(lines)))
-    for k, ((name, _), (value, low, high)) in enumerate(zip(lines, ends.transpose(0, 2, 1), strict=True)):
+    for k, ((name, _), (value, low, high)) in enumerate(zip(lines, ends, strict=True)):
         has = np.isfinite(value)
         bars = np.abs([low - value, high - value])[:, has]
         mark, colour = f"{'os^Dv<'[k % 6]}-", colours[k]

@@ -17,8 +17,8 @@ from stickslip.analysis.rows import frame_of
 from stickslip.analysis.series import cascades
 from stickslip.analysis.series.cascades import SAMPLED
 from stickslip.analysis.series.runs import Run
-from stickslip.analysis.stats.estimates import Estimate, gamma, over_matrices
-from stickslip.analysis.style import CYCLE, GREY, panel
+from stickslip.analysis.stats.estimates import Estimate, gamma, over_matrices, with_ends
+from stickslip.analysis.style import CYCLE, GREY, bars, panel
 from stickslip.pipeline.design.units import DIMENSIONLESS, Units
 
 _CAPTION = (
@@ -77,10 +77,9 @@ def by_step(ax: Axes, rows: Sequence[Defined], units: Units = DIMENSIONLESS) -> 
             ax.axhspan(row.gamma.low, row.gamma.high, color=GREY, alpha=0.3, linewidth=0, label="events")
     for k, definition in enumerate(SAMPLED):
         points = [row for row in rows if row.definition == definition and row.gamma.low is not None]
-        ends = [(row.dt, row.gamma.value, row.gamma.low, row.gamma.high) for row in points]
-        dt, value, low, high = np.array(ends, dtype=np.float64).reshape(-1, 4).T
-        form, errors = ("o-", "D-", "s--", "^--")[k], [value - low, high - value]
-        ax.errorbar(dt, value, errors, fmt=form, label=definition, color=CYCLE[k], markersize=3, linewidth=0.9)
+        form, ends = ("o-", "D-", "s--", "^--")[k], with_ends(row.gamma for row in points)
+        dt = [row.dt for row in points if row.dt is not None]
+        bars(ax, dt, ends, fmt=form, label=definition, color=CYCLE[k], markersize=3, linewidth=0.9)
     steps = sorted({row.dt for row in rows if row.dt is not None})
     ax.set(xscale="log", xlabel=units.label("sampling step dt", "time"), ylabel="decay rate")
     ax.set_xticks(steps[:: max(1, -(-len(steps) // 5))])

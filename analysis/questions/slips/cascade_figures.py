@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from stickslip.analysis.stats.estimates import Estimate
-from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel, size_axis
+from stickslip.analysis.stats.estimates import Estimate, with_ends
+from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, bars, panel, size_axis
 from stickslip.pipeline.design.units import DIMENSIONLESS, Units
 
 SHOWN = 0.06  # largest relative error of a share that is drawn relative to p = 1/2
@@ -124,12 +124,11 @@ def _size_law(
         ends = [1.0]
         for k, (label, shares) in enumerate(drawn.items()):
             k_sizes = np.array([law.size for law in shares], dtype=int)
-            ends_of = [(law.share.value, law.share.low, law.share.high) for law in shares]
-            share, low, high = np.array(ends_of, dtype=float).reshape(-1, 3).T / over[k_sizes - smallest]
+            of_shares = with_ends(law.share for law in shares) / over[k_sizes - smallest]
             form: Any = {"fmt": "os"[k % 2], "color": (EXACT, SMOOTHED)[k % 2], "markersize": 3, "linewidth": 0.8}
             form["markerfacecolor"] = form["color"] if k % 2 == 0 else "white"
-            ax.errorbar(k_sizes + 0.12 * k, share, yerr=[share - low, high - share], label=label, **form)
-            ends += [*low, *high]
+            bars(ax, k_sizes + 0.12 * k, of_shares, label=label, **form)
+            ends += [*of_shares[1:].flat]
         if rate.value is not None:
             ax.plot(sizes, fitted(rate.value) / over, color=EXACT, linewidth=1, label="geometric, fit")
         if rate.low is not None and rate.high is not None:

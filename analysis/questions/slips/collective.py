@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullLocator
 
@@ -20,8 +19,8 @@ from stickslip.analysis.questions.slips.slow_motion import CYCLES, Band, Slow, s
 from stickslip.analysis.questions.slips.triggering import CLUSTERING, Exits, exits_of, triggered
 from stickslip.analysis.rows import frame_by, frame_of
 from stickslip.analysis.settings import AnalysisSettings
-from stickslip.analysis.stats.estimates import Estimate
-from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
+from stickslip.analysis.stats.estimates import Estimate, with_ends
+from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, bars, panel
 from stickslip.pipeline.design.units import DIMENSIONLESS, Units
 
 WHAT = "collective motion"
@@ -147,12 +146,9 @@ def spectrum(ax: Axes, groups: Mapping[str, Sequence[Band]], units: Units = DIME
     for k, (label, bands) in enumerate(groups.items()):
         colour = (EXACT, SMOOTHED, GREEN)[k]
         with_interval = [band for band in bands if band.ratio.low is not None]
-        ends = [(band.middle, band.ratio.value, band.ratio.low, band.ratio.high) for band in with_interval]
-        period, ratio, low, high = np.array(ends, dtype=np.float64).reshape(-1, 4).T
-        face, errors = (EXACT, "white", "white")[k], [ratio - low, high - ratio]
-        ax.errorbar(
-            period, ratio, errors, fmt="os^"[k], color=colour, mfc=face, label=label, markersize=3, linewidth=0.9
-        )
+        period, ends = [band.middle for band in with_interval], with_ends(band.ratio for band in with_interval)
+        look = {"fmt": "os^"[k], "mfc": (EXACT, "white", "white")[k], "color": colour, "label": label}
+        bars(ax, period, ends, markersize=3, linewidth=0.9, **look)
         models = [band.model for band in bands if band.model is not None]
         if models:
             ax.plot([band.middle for band in bands], models, color=colour)

@@ -15,8 +15,9 @@ from stickslip.analysis.groups import Group
 from stickslip.analysis.models.clustering import measure
 from stickslip.analysis.rows import Columns
 from stickslip.analysis.series.runs import Run
-from stickslip.analysis.stats.effects import over_null, together
+from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
+from stickslip.analysis.stats.multiplicity import together
 
 SOON = 0.2  # in mean gaps between exits: an exit that another one triggers comes sooner
 
@@ -117,13 +118,13 @@ def compare(label: str, rows: np.ndarray, taus: Sequence[float], confidence: flo
     by_tau = (rows[:, k] for k in range(len(taus)))
     effects = [over_null(lambda sums: sums[:, 0], columns[:, :1], columns[:, 1:], confidence) for columns in by_tau]
     pairs = []
-    for k, effect in enumerate(together(effects)):
+    for k, (effect, p_adjusted) in enumerate(zip(effects, together(effect.p for effect in effects), strict=True)):
         observed = over_matrices(ratio, np.column_stack([rows[:, k, 0], np.ones(len(rows))]), confidence)
         ends = (effect.ratio.value, effect.ratio.low, effect.ratio.high)
         value, low, high = (None if end is None else end - 1 for end in ends)
         family = None
-        if effect.p_adjusted is not None:
-            family = Family(len(taus), effect.p_adjusted, alpha=1 - confidence)
+        if p_adjusted is not None:
+            family = Family(len(taus), p_adjusted, alpha=1 - confidence)
         difference = Difference(Estimate(value, low, high), family=family)
         pairs.append(Pairs(label, taus[k], observed, float(rows[:, k, 1].mean()), effect.ratio, difference))
     return pairs
