@@ -25,7 +25,7 @@ MOST_PROCESSES = 4  # there are few questions, and the longest one takes its tim
 #: Members from which on the processes share the runs instead of the questions: going through the runs is most of it,
 #: and what each process knows of the members fills the memory.
 _MANY = 20_000
-#: Bytes of data below which one process is as fast: each takes a second to load what it needs.
+#: Bytes of data from which more processes answer: each takes a second of its core to load what it needs.
 _LARGE = 50_000_000
 #: Runs that a process is asked about together, at least: opening their shards takes two milliseconds.
 _LEAST = 2_000
