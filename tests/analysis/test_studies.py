@@ -11,6 +11,7 @@ from stickslip.analysis.series.cascades import window
 from stickslip.analysis.stats import components, dispersion, effective, effects, enough
 from stickslip.analysis.stats.estimates import Undefined, over_matrices, ratio
 from stickslip.analysis.stats.families import maximise
+from stickslip.analysis.stats.multiplicity import together
 from tests.analysis import studies
 from tests.chance import SURE
 
@@ -65,10 +66,11 @@ def test_effects_are_ratios_judged_together(rng):
     rows[2, :, 0] /= 4
     each = [effects.over_null(studies.first, one[:, :1], one[:, 1:], SURE) for one in rows]
     assert each[1].ratio.low < 9 < each[1].ratio.high
-    found = effects.together(each)
-    assert all(one.p_adjusted >= one.p for one in found)
-    assert found[1].ratio.low > 1.0 > found[2].ratio.high
-    alone = effects.together([effects.over_null(studies.first, np.ones((1, 1)), np.ones((1, 1)), 0.95)])[0]
+    assert each[1].ratio.low > 1.0 > each[2].ratio.high
+    *adjusted, none = together([*(one.p for one in each), None])
+    assert none is None
+    assert all(p >= one.p for p, one in zip(adjusted, each, strict=True))
+    alone = effects.over_null(studies.first, np.ones((1, 1)), np.ones((1, 1)), 0.95)
     assert (alone.p, alone.ratio.value) == (None, None)
 
 
