@@ -1,4 +1,4 @@
-"""Whether t_burn is long enough.
+"""Whether t_burn is long enough, and what the mean is with others.
 
 The start still shows if n_stick differs between the first tenth of the window and its last half: J. Geweke, in
 Bayesian Statistics 4 (1992) 169-193. There the error comes from the spectrum of one series; here it is known from
@@ -9,9 +9,11 @@ where episodes or numbers of each run are recorded, all that reached t_end.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
@@ -21,8 +23,14 @@ from stickslip.analysis.series.runs import Ended, Runs
 from stickslip.analysis.series.windows import in_parts, windows
 from stickslip.analysis.stats.compare import against
 from stickslip.analysis.stats.enough import LEAST_MATRICES
-from stickslip.analysis.stats.estimates import Estimate, Undefined
+from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio, with_ends, within
 from stickslip.analysis.stats.multiplicity import together
+from stickslip.analysis.style import EXACT, GREY, bars, panel
+
+#: Other values of t_burn that estimates are made with: shares of the chosen one, and of the time after it.
+BEFORE, AFTER = (0.0, 0.5), (0.125, 0.25, 0.5)
+MOST_RUNS = 200  # of which estimates are made again
+EPISODES, MEAN = "rate of episodes", "mean number of sticking blocks"
 
 
 class Tested(NamedTuple):
@@ -38,6 +46,18 @@ class Tested(NamedTuple):
     p_adjusted: float | None
     is_short: bool
     reason: str
+
+
+class AtBurn(NamedTuple):
+    """A row of the table `by_t_burn`: an estimate with one t_burn; `p_value` is that of `geweke` with it."""
+
+    group: str
+    t_burn: float
+    is_chosen: bool
+    quantity: str
+    n_systems: int
+    value: Estimate
+    p_value: float | None
 
 
 def averaged(study: Study, group: Group) -> np.ndarray:
@@ -57,7 +77,8 @@ def geweke(study: Study, groups: Sequence[Group]) -> list[Tested]:
         if len(members) == group.n_moving:
             sums = group.by_unit("early", "late", "runs")
         else:
-            sums = _by_unit(study, members, study.each(_of_runs, members))
+            means = study.each(partial(_of_runs, (study.settings.t_burn,)), members)
+            sums = _by_unit(study, members, means[:, 1:])
         early, p, reason = _early(sums, level)
         rows.append(
             Tested(
@@ -66,6 +87,25 @@ def geweke(study: Study, groups: Sequence[Group]) -> list[Tested]:
         )
     adjusted = zip(rows, together(row.p_value for row in rows), strict=True)
     return [row._replace(p_adjusted=p, is_short=p is not None and p < 1 - level) for row, p in adjusted]
+
+
+def estimates(study: Study, group: Group) -> list[AtBurn]:
+    """Mean n_stick, or the rate of episodes, of the first runs of a group with several t_burn."""
+    level, t_burn, t_end = study.settings.confidence, study.settings.t_burn, float(group.key["t_end"])
+    members = averaged(study, group)[:MOST_RUNS]
+    later = (t_burn + share * (t_end - t_burn) for share in AFTER)
+    times = tuple(sorted({*(share * t_burn for share in BEFORE), t_burn, *later}))
+    means = study.each(partial(_of_runs, times), members).reshape(len(members), len(times), 3)
+    rows = []
+    for k, time in enumerate(times):
+        _, p_value, _ = _early(_by_unit(study, members, means[:, k, 1:]), level)
+        quantity, values = MEAN, means[:, k, 0]
+        if study.data.episodes is not None:
+            quantity, values = EPISODES, _episodes(study, members, time) / (t_end - time)
+        sums = _by_unit(study, members, values[:, np.newaxis])
+        value = within(over_matrices(ratio, sums, level), 0.0)
+        rows.append(AtBurn(group.label, time, time == t_burn, quantity, len(sums), value, p_value))
+    return rows
 
 
 def _early(sums: np.ndarray, level: float) -> tuple[Estimate, float | None, str]:
@@ -96,11 +136,30 @@ def _by_unit(study: Study, members: np.ndarray, columns: np.ndarray) -> np.ndarr
     return np.column_stack(sums) / np.bincount(place)[:, np.newaxis]
 
 
-def _of_runs(runs: Runs, ended: Ended) -> np.ndarray:
-    """Mean n_stick of each run in the first tenth of its window and in its last half."""
-    means, n_done = np.zeros((len(ended), 2)), 0
+def _of_runs(t_burns: Sequence[float], runs: Runs, ended: Ended) -> np.ndarray:
+    """Mean n_stick of each run with each t_burn, and the means of the first tenth and the last half."""
+    means, n_done = np.zeros((len(ended), len(t_burns), 3)), 0
     for stack in in_parts(runs.stacks(ended.member_id.tolist()), RUNS, POINTS):
         places = slice(n_done, n_done + len(stack))
-        means[places] = early_and_late(windows(stack, runs.t_burn, ended.t_end[places]))
+        for k, t_burn in enumerate(t_burns):
+            window = windows(stack, t_burn, ended.t_end[places])
+            means[places, k] = np.column_stack([window.mean, early_and_late(window)])
         n_done += len(stack)
-    return means
+    return means.reshape(len(ended), -1)
+
+
+def _episodes(study: Study, members: np.ndarray, t_burn: float) -> np.ndarray:
+    """Number of episodes of some members that begin at t_burn or later."""
+    episodes = study.data.episodes
+    assert episodes is not None
+    late = episodes.loc[episodes["start"] >= t_burn, "member_id"].value_counts()
+    return late.reindex(study.data.table.own["member_id"].iloc[members], fill_value=0).to_numpy(np.float64)
+
+
+@panel()
+def by_t_burn(ax: Axes, rows: Sequence[AtBurn], t_burn: float) -> None:
+    """The estimates of one group with several t_burn, with their intervals; the chosen one is dashed."""
+    ax.axvline(t_burn, color=GREY, linewidth=0.8, linestyle="--")
+    t = [row.t_burn for row in rows]
+    bars(ax, t, with_ends(row.value for row in rows), fmt="o-", color=EXACT, markersize=3, linewidth=0.8)
+    ax.set(xlabel="$t_{burn}$", ylabel=rows[0].quantity)

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import Study
-from stickslip.analysis.burn_in import geweke
+from stickslip.analysis.burn_in import estimates, geweke
 from stickslip.analysis.ensemble import Recorded
 from stickslip.analysis.models.motion import early_and_late
 from stickslip.analysis.questions.runs import fates
@@ -79,6 +79,23 @@ def test_several_groups_are_tested_together(planted, settings, rng):
     assert all(row.p_adjusted >= row.p_value for row in found)
 
 
+def test_estimates_for_other_values_of_t_burn(planted, settings, rng):
+    data, sure = ensemble(planted, rng, 100.0), replace(settings, confidence=SURE)
+    study = Study(data, sure)
+    rows = {row.t_burn: row for row in estimates(study, study.groups[0])}
+    assert [*rows] == [0.0, 50.0, 100.0, 212.5, 325.0, 550.0]
+    for t_burn, row in rows.items():
+        by_hand = []
+        for t, n_stick in data.series.values():
+            lasts = np.diff(np.append(t, T_END)) - np.clip(t_burn - t, 0.0, 1.0)
+            by_hand.append(np.average(n_stick, weights=np.where(t + 1.0 > t_burn, lasts, 0.0)))
+        assert row.value.value == pytest.approx(np.mean(by_hand))
+        assert row.is_chosen == (t_burn == T_BURN)
+    (group,) = study.groups
+    assert rows[T_BURN].value.value == pytest.approx(group.mean(SURE).value)
+    assert rows[T_BURN].p_value < 1 - SURE < rows[550.0].p_value
+
+
 def test_what_is_averaged_is_tested(planted, settings, rng):
     """Four in five runs stop at t = 200, quiet: no mean of n_stick has them, but one of a number of each run does."""
     data, sure = ensemble(planted, rng, 0.0), replace(settings, confidence=SURE)
@@ -92,6 +109,8 @@ def test_what_is_averaged_is_tested(planted, settings, rng):
     study = Study(Data(data.members, ended, recorded=numbers), sure)
     (row,) = geweke(study, study.groups)
     assert (row.n_runs, row.n_members, row.n_systems, row.is_short) == (20, 20, 20, True)
+    mean = [row for row in estimates(study, study.groups[0]) if row.is_chosen]
+    assert [row.n_systems for row in mean] == [20]
     assert fates.answer(study).tables["burn_in"]["n_runs"].tolist() == [20]
 
 
@@ -125,11 +144,11 @@ def test_runs_that_come_to_rest_later_show_nothing_from_then_on(planted, setting
         rows.append(planted.member(f"m{k}", k, n=N, t_end=T_END, t_stop=T_END))
         series[f"m{k}"] = (np.arange(T_END), level + left)
     recorded = {"heat": Recorded("heat", dict.fromkeys(series, 1.0))}
-    data = Data(pd.DataFrame(rows), series, recorded=recorded)
-    for t_burn, reason in ((T_BURN, ""), (325.0, ""), (550.0, "at rest")):
-        (row,) = of_groups(data, replace(settings, t_burn=t_burn))
-        assert (row.reason, row.p_value is None) == (reason, bool(reason))
-        assert row.is_short == (t_burn < 550.0)
+    study = Study(Data(pd.DataFrame(rows), series, recorded=recorded), settings)
+    by_t_burn = estimates(study, study.groups[0])
+    assert {row.t_burn for row in by_t_burn if row.p_value is None} == {550.0}
+    (row,) = geweke(study, study.groups)
+    assert row.is_short
 
 
 def test_an_alert_says_that_t_burn_is_too_short(planted, settings, rng):
@@ -139,6 +158,7 @@ def test_an_alert_says_that_t_burn_is_too_short(planted, settings, rng):
         "where": " at n = 200, exact",
         "t_burn": 100.0,
     }
+    assert "by_t_burn" in found.figures
     assert found.tables["burn_in"]["is_short"].tolist() == [True]
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -136,6 +137,7 @@ def answer(study: Study) -> Answer | None:
     recorded = {group.label for setting in grid.settings if setting.is_recorded for group in setting.groups}
     is_short = {row.group for row in tested if row.is_short} - recorded
     short = [group for group in groups if group.label in is_short]
+    by_t_burn = [row for group in short[:1] for row in burn_in.estimates(study, group)]
     figures = _in_order(
         bool(each),
         any(len(setting.kinds) > 1 for setting in grid.settings),
@@ -143,6 +145,7 @@ def answer(study: Study) -> Answer | None:
         bifurcations.pictures(study, grid, boundaries),
         portraits.pictures(study, grid),
     )
+    figures |= _along_t_burn(study, by_t_burn)
     return Answer(
         findings=[*leading, *secondary] or [Lack("what became of the runs", Reason.ALL_FAILED)],
         n_lead=min(MOST_LEADING, len(leading)),
@@ -154,6 +157,7 @@ def answer(study: Study) -> Answer | None:
             "fates": frame_of(Portion, shares),
             "boundaries": frame_of(coexistence.Boundary, boundaries),
             "burn_in": frame_of(burn_in.Tested, tested),
+            "by_t_burn": frame_of(burn_in.AtBurn, by_t_burn),
         },
         figures=figures,
     )
@@ -366,6 +370,18 @@ def _ends(study: Study, setting: Setting) -> Ends:
     t_end = np.full(len(t_stop), setting.t_end)
     runs = fates[ran], t_last[ran, 0], t_stop, t_end, study.settings.confidence, setting.runs.units
     return Ends(setting, survival(*runs), half_ended(*runs))
+
+
+def _along_t_burn(study: Study, rows: Sequence[burn_in.AtBurn]) -> dict[str, Picture]:
+    """Estimates of a group with other values of t_burn, if that with the chosen one has an interval."""
+    if not any(row.is_chosen and row.value.low is not None for row in rows):
+        return {}
+    t_burn, level = study.settings.t_burn, 100 * study.settings.confidence
+    caption = (
+        f"The mean still changes after t_burn = {study.settings.at(t_burn)}: it is too short. Estimates with other"
+        f" values, with {level:g}% intervals ({rows[0].group})."
+    )
+    return {"by_t_burn": Picture(partial(burn_in.by_t_burn, rows, t_burn), caption)}
 
 
 def _leads(study: Study) -> bool:
