@@ -21,7 +21,7 @@ from stickslip.analysis.models.episodes import (
     Catalogue,
     drift,
 )
-from stickslip.analysis.models.magnitudes import Magnitudes, bends, by_least, magnitudes_of, shares_above
+from stickslip.analysis.models.magnitudes import Magnitudes, b_positive, bends, by_least, magnitudes_of, shares_above
 from stickslip.analysis.models.recurrence import Recurrence, recurrence
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio, within
@@ -111,6 +111,11 @@ class Catalogues:
         magnitudes = self.magnitudes()
         least = self.law.begins if self.law.begins is not None else float(np.quantile(magnitudes, 1 - LARGE))
         return recurrence([*self.runs.values()], least, self.confidence)
+
+    @cached_property
+    def b_positive(self) -> Estimate:
+        """The check on b of `models.magnitudes.b_positive`."""
+        return b_positive(self.law, [[run.magnitude for run in runs] for runs in self.runs.values()], self.confidence)
 
     @cached_property
     def by_least(self) -> list[tuple[float, int, Estimate]]:

@@ -85,7 +85,7 @@ def in_units(said: Any, units: Units) -> Any:
     """A finding, or a part of one, whose quantities have their units."""
     if isinstance(said, Quantity | Place | KeyChange):
         return said.measured(units)
-    if isinstance(said, Attracting):
+    if isinstance(said, Threshold | Attracting):
         said = replace(said, unit=units.of_key(said.key))
     if type(said) is tuple:  # a named one has no quantity
         return tuple(in_units(part, units) for part in said)
@@ -397,6 +397,33 @@ class Outcomes:
 
 
 @dataclass(frozen=True)
+class Threshold:
+    """Between which values of a key something ends in all units, or begins in all.
+
+    Attributes
+    ----------
+    subject : str
+        "stick-slip".
+    last, first : str
+        The last value before, and the first value after.
+    """
+
+    subject: str
+    is_end: bool
+    key: str
+    last: str
+    first: str
+    where: Place = EVERYWHERE
+    basis: Basis | None = None
+    unit: str = ""  #: of the key; set by `in_units`
+
+    @property
+    def stretch(self) -> str:
+        """The values of the key between which it lies."""
+        return f"{self.last} to {self.first}{f' {self.unit}' * bool(self.unit)}"
+
+
+@dataclass(frozen=True)
 class Regime:
     """Settings at which all of some things do the same, or do several things.
 
@@ -513,11 +540,25 @@ class Decided:
     """The answer to a question of yes or no, and the finding that it rests on."""
 
     truth: Truth
-    finding: Level | Change | Share | Lifetime | Law | Parts | Alike | Outcomes | Regime | Attracting | Lack
+    finding: (
+        Level | Change | Share | Lifetime | Law | Parts | Alike | Outcomes | Regime | Attracting | Threshold | Lack
+    )
 
 
 Finding: TypeAlias = (
-    Level | Change | Share | Lifetime | Law | Parts | Alike | Outcomes | Regime | Attracting | Lack | Decided
+    Level
+    | Change
+    | Share
+    | Lifetime
+    | Law
+    | Parts
+    | Alike
+    | Outcomes
+    | Regime
+    | Attracting
+    | Threshold
+    | Lack
+    | Decided
 )
 
 
@@ -544,6 +585,9 @@ def levels(finding: Finding) -> list[Level]:
         case Alike(quantity, value, among, where, basis):
             place = where if basis is not None else where + Place.words(among)
             return [Level(quantity, Estimate(value), place, basis=basis)]
+        case Threshold(subject, is_end, key, where=where, basis=basis):
+            quantity = Quantity("threshold", f"where {subject} {'ends' if is_end else 'begins'}")
+            return [Level(quantity, Estimate(), Place.key(key, finding.stretch) + where, basis=basis)]
         case Regime(things, (predicate,), _, _, share, where, basis):
             return [Level(_share("regime", things, predicate), share, where, basis=basis)]
         case Attracting(attractors, key, where=where, basis=basis):

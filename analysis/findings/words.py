@@ -29,6 +29,7 @@ from stickslip.analysis.findings.finding import (
     Regime,
     Scale,
     Share,
+    Threshold,
     Turn,
     Verdict,
 )
@@ -65,6 +66,10 @@ def clause(finding: Finding) -> str:
             return f"{quantity.name}{where.tail}: {shown}, the same {among}"
         case Outcomes():
             return _outcomes(finding)
+        case Threshold(subject, is_end, key, last, first, where, basis):
+            in_all = "" if basis is None or basis.n == 1 else f", in all {plural(basis.n, basis.unit)}"
+            ends = f"{'ends' if is_end else 'begins'} between {key} = {last} and {first}{_in(finding)}"
+            return f"{subject} {ends}{where.tail}{in_all}"
         case Regime():
             return _regime(finding)
         case Attracting():
@@ -118,7 +123,7 @@ def _level(level: Level) -> str:
     return f"{name}: {_value(level.quantity, level.estimate)}{_compared(level.comparison, level.quantity)}"
 
 
-def _in(said: Quantity | KeyChange) -> str:
+def _in(said: Quantity | KeyChange | Threshold) -> str:
     """The unit of a quantity or a key, after its value."""
     return f" {said.unit}" if said.unit else ""
 

@@ -37,6 +37,7 @@ FEWEST = enough.LEAST_CASCADES  # least number of events in it
 RISE = 15.0  # nats: of some 1,000 windows of a falling density none rises so by chance more often than in 1e-3
 WINDOWS = (5, 10, 20, 40)  # widths of windows, in classes
 STEP = 5  # classes between ends of the range that are tried
+_TURN, _NEWTON = 1e-3, 6  # of b, for a derivative; steps
 BY_CHANCE = 0.9  # D sqrt(n), which 92 to 98% of planted catalogues fall below
 TESTS = 5  # by which laws are told from each other: each has that part of the chance to be wrong
 
@@ -345,6 +346,45 @@ def by_least(magnitudes: Magnitudes, confidence: float) -> list[tuple[float, int
                 break
         rows.append((least, n, with_b))
     return rows
+
+
+def b_positive(magnitudes: Magnitudes, sequences: Sequence[Sequence[np.ndarray]], confidence: float) -> Estimate:
+    """b from the magnitudes of the range that are larger than the one before (N. J. van der Elst, JGR 126 (2021)).
+
+    If successive magnitudes are independent, their positive differences have one mean for each b, the range being
+    what it is: b by that mean, from the b of the law. Without a value where a cut-off is shown.
+
+    Parameters
+    ----------
+    sequences : sequence of sequence of ndarray
+        The magnitudes of each run of each system, in order of time.
+    """
+    if (
+        magnitudes.fit is None
+        or not magnitudes.has_b
+        or magnitudes.b.value is None
+        or magnitudes.cut_off.value is not None
+    ):
+        return Estimate(reason=magnitudes.why or "a cut-off is shown")
+    inside = [[run[(run >= magnitudes.least) & (run < magnitudes.most)] for run in runs] for runs in sequences]
+    steps = [np.concatenate([np.diff(run) for run in runs]) for runs in inside]
+    sums = np.array([(step[step > 0].sum(), np.count_nonzero(step > 0)) for step in steps])
+    b, n_rises = magnitudes.b.value, sums[:, 1]
+    if not n_rises.any():
+        return Estimate(reason="no two magnitudes in its range follow each other")
+    for _ in range(_NEWTON):
+        low, expected, high = (_mean_rise(magnitudes.fit, b + turn) for turn in (-_TURN, 0.0, _TURN))
+        moved = (sums[:, 0] - expected * n_rises) * 2 * _TURN / (high - low)
+        last, b = b, b + float(moved.sum() / n_rises.sum())
+    return over_matrices(ratio, np.column_stack([last * n_rises + moved, n_rises]), confidence)
+
+
+def _mean_rise(fit: Fit, b: float) -> float:
+    """The mean of the positive differences of two magnitudes of a power law on the range of a fit."""
+    shares, at = np.exp(log_shares(fit.family, fit.sizes, b * np.eye(len(fit.theta))[0])), WIDTH * fit.sizes
+    below = np.cumsum(shares) - shares
+    apart = float(shares @ (at * below - np.cumsum(shares * at) + shares * at)) + WIDTH / 6 * float(shares @ shares)
+    return 2 * apart  # of half of all pairs
 
 
 def shares_above(begins: float, systems: Sequence[np.ndarray], confidence: float) -> tuple[Estimate, Estimate]:

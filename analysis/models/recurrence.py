@@ -53,6 +53,9 @@ class Recurrence(NamedTuple):
         Times that ended, and those that the ends of runs cut off.
     mean, cv : Estimate
         Mean and coefficient of variation by Kaplan and Meier: the latter is 0 of a clock, 1 of a Poisson process.
+    before, after : Estimate
+        Rank correlation of moments with the time before (slip-predictable: positive), and after (time-predictable),
+        within runs.
     bins : list of Bin
     """
 
@@ -61,6 +64,8 @@ class Recurrence(NamedTuple):
     n_cut: int
     mean: Estimate
     cv: Estimate
+    before: Estimate
+    after: Estimate
     bins: list[Bin]
 
 
@@ -72,6 +77,7 @@ class _Gaps(NamedTuple):
     after: np.ndarray  # times of small events since the last large one
     before: np.ndarray  # and until the next one, which is seen
     until: np.ndarray  # times before large events that were followed: from the one before, or the begin of a run
+    ranks: np.ndarray  # sums of squares and products of ranks, shape (2, 3)
 
 
 def recurrence(systems: Sequence[Sequence[Catalogue]], least: float, confidence: float) -> Recurrence:
@@ -87,8 +93,10 @@ def recurrence(systems: Sequence[Sequence[Catalogue]], least: float, confidence:
     n_cut = sum(len(gap.ended) for gap in gaps) - n_times
     span = min((run.t_stop - run.t_start for runs in systems for run in runs), default=0.0)
     mean, cv = _mean_and_cv(gaps, span, confidence)
+    ranks = np.array([gap.ranks for gap in gaps])
+    before, after = (within(over_matrices(_correlation, ranks[:, k], confidence), -1.0, 1.0) for k in (0, 1))
     bins = [] if mean.value is None else _bins(gaps, mean.value, confidence)
-    return Recurrence(least, n_times, n_cut, mean, cv, bins)
+    return Recurrence(least, n_times, n_cut, mean, cv, before, after, bins)
 
 
 def _gaps(run: Catalogue, least: float) -> _Gaps:
@@ -102,11 +110,35 @@ def _gaps(run: Catalogue, least: float) -> _Gaps:
     since = small[place > 0] - end[place[place > 0] - 1]
     left = start[place[place < len(start)]] - small[place < len(start)]
     until = start - np.append(run.t_start, end[:-1])[: len(start)]
-    return _Gaps(time[: len(start)], ended, since[since >= 0], left, until)
+    waits, moment = time[ended], np.abs(run.moment[is_large])
+    ranks = np.array([_products(moment[1:], waits), _products(moment[:-1], waits)])
+    return _Gaps(time[: len(start)], ended, since[since >= 0], left, until, ranks)
+
+
+def _products(size: np.ndarray, time: np.ndarray) -> tuple[float, float, float]:
+    """Sums of squares and products of ranks about their mean; 0 of fewer than three."""
+    if len(size) < 3:
+        return 0.0, 0.0, 0.0
+    x, y = ((_ranks(values) - (len(values) + 1) / 2) / len(values) for values in (size, time))
+    return float(x @ x), float(y @ y), float(x @ y)
+
+
+def _ranks(values: np.ndarray) -> np.ndarray:
+    """Ranks from 1 on; equal values share the mean of theirs."""
+    _, places, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return np.asarray((np.cumsum(counts) - (counts - 1) / 2)[places])
+
+
+def _correlation(sums: np.ndarray) -> np.ndarray:
+    if (sums[:, :2] <= 0).any():
+        raise Undefined("fewer than three times between in every run")
+    return np.asarray(sums[:, 2] / np.sqrt(sums[:, 0] * sums[:, 1]))
 
 
 def _joined(runs: Sequence[_Gaps]) -> _Gaps:
-    return _Gaps(*map(np.concatenate, zip(*runs, strict=True)))
+    *lists, ranks = zip(*runs, strict=True)
+    time, ended, after, before, until = (np.concatenate(values) for values in lists)
+    return _Gaps(time, ended, after, before, until, np.sum(ranks, axis=0))
 
 
 def _mean_and_cv(gaps: Sequence[_Gaps], span: float, confidence: float) -> tuple[Estimate, Estimate]:

@@ -666,9 +666,9 @@ def planted_catalogue(rng, picture):
 
 
 def magnitudes_study(rng, ensembles):
-    """The picture named right, b and the peak's share of events; of planted catalogues."""
+    """The picture named right, b, b by rises alone and the peak's share of events; of planted catalogues."""
     for picture in PICTURES:
-        errors = {"b": [], "peak": []}
+        errors = {"b": [], "b-positive": [], "peak": []}
         n_right = 0
         for _ in range(ensembles):
             systems, b, in_peak = planted_catalogue(rng, picture)
@@ -678,6 +678,9 @@ def magnitudes_study(rng, ensembles):
                 continue
             if law.has_b:
                 errors["b"].append((law.b, b))
+            rises = magnitudes.b_positive(law, [[values] for values in systems], CONFIDENCE)
+            if rises.value is not None:
+                errors["b-positive"].append((rises, b))
             if law.picture is magnitudes.Picture.PEAK:
                 errors["peak"].append((magnitudes.shares_above(law.begins, systems, CONFIDENCE)[0], in_peak))
         share = n_right / ensembles

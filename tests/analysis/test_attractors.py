@@ -408,6 +408,10 @@ def test_where_steady_sliding_and_stick_slip_both_attract_leads(planted_runs, se
     """Also where no start settles into steady sliding, as at v = 3."""
     answered = fates.answer(Study(along_belts(planted_runs, columns), settings))
     assert said(answered)[0] == f"Steady sliding and stick-slip {sentence}"
+    stability = answered.tables["stability"]
+    assert stability["n_stable"].tolist() == [0, 0, 1, 1, 1, 1]
+    assert stability["frequency"].tolist() == [2.0] * 6
+    assert stability["blocks"].tolist() == ["0"] * 6
     ends = answered.tables["boundaries"]
     is_refined = len(columns) > 2
     assert ends["found_by"].tolist() == ["linear stability", "runs to t = 1000"] * is_refined
@@ -435,10 +439,13 @@ def test_stick_slip_that_is_followed_to_a_value_attracts_there_though_no_start_f
 def test_what_attracts_is_said_of_one_system_alone(planted_runs, settings):
     answered = fates.answer(Study(along_belts(planted_runs, ENDS, matrices=4), settings))
     assert not [finding for finding in answered.findings if isinstance(finding, Attracting)]
+    assert answered.tables["stability"]["n_systems"].tolist() == [4] * 6
 
 
 def test_without_these_records_nothing_of_it_is_said(over_two, settings):
-    assert fates.answer(Study(over_two, settings)).tables["boundaries"].empty
+    tables = fates.answer(Study(over_two, settings)).tables
+    assert tables["stability"].empty
+    assert tables["boundaries"].empty
 
 
 # ---------------------------------------------------------------------------------------------- a typical run

@@ -138,6 +138,7 @@ def test_rate_and_exponent_are_found(planted_episodes, strict):
     assert law.predicate.startswith("follow a power law from M = ")
     assert law.parameter.quantity is episodes.B_VALUE
     assert lead["b_low"] < 1.0 < lead["b_high"]
+    assert lead["b_positive_low"] < 1.0 < lead["b_positive_high"]
     upper = answer.tables["episode_b"]
     assert upper["least"].diff().dropna().tolist() == pytest.approx([0.5] * (len(upper) - 1))
     assert (upper["b_low"] < 1.0).all()

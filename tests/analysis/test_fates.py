@@ -427,6 +427,7 @@ def test_sizes_are_grouped_by_what_all_their_runs_do(planted):
     assert list(answered.figures)[:2] == ["fates", "survival"]
     found = shares(answered)
     assert found["escaping", "n = 250"].estimate.value == pytest.approx(0.8)
+    assert (found["stable_sliding", ""].estimate.value, found["unstable_escaping", ""].basis.n) == (1.0, 10)
     for picture in answered.figures.values():
         assert picture.recipe().axes
 

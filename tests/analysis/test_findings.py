@@ -31,6 +31,7 @@ from stickslip.analysis.findings.finding import (
     Regime,
     Scale,
     Share,
+    Threshold,
     Truth,
     Turn,
     Verdict,
@@ -207,6 +208,7 @@ def _findings(rng):
     yield Outcomes("exact", ("h = 0.1",), ("h = 0.2", "h = 0.4"), (), level)
     yield Outcomes("exact", undecided=("h = 0.1",), largest=level, scope="the number of slip onsets")
     yield Outcomes("exact", ("h = 0.1",), largest=level)
+    yield Threshold("stick-slip", bool(rng.integers(2)), "belt_speed", "0.3", "0.4", where, basis)
     yield Regime("starts", ("slide", "stick", "stop"), 9, 10, where=where)
     nouns = ("steady sliding", "stick-slip", "rest")[: rng.integers(1, 4)]
     yield Attracting(
@@ -233,7 +235,7 @@ def test_every_kind_is_a_sentence_and_rows(rng):
                 assert row.low is None or row.high is None or row.low <= row.high
                 assert row.verdict in {"", *Verdict}
                 assert not any(isinstance(cell, float) and np.isnan(cell) for cell in row)
-    assert len(kinds) == 12
+    assert len(kinds) == 13
 
 
 def test_the_table_of_findings_has_limits_and_differences_in_their_units():

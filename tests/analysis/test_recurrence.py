@@ -1,4 +1,4 @@
-"""Times between large events: planted renewals that windows cut off, and planted aftershocks."""
+"""Times between large events: planted renewals that windows cut off, planted aftershocks and predictability."""
 
 from dataclasses import replace
 
@@ -91,3 +91,20 @@ def test_activity_after_and_before_large_events_is_as_planted(rng):
         assert before[edge].relative.low < at_rest.high
         assert before[edge].relative.value < after[edge].relative.value
     assert after[0.05].relative.low > at_rest.high
+
+
+@pytest.mark.parametrize("side", ["before", "after"])
+def test_predictability_is_told_from_chance(rng, side):
+    """The moment is the time on one side, and has nothing to do with that on the other."""
+    systems = []
+    for _ in range(20):
+        start = renewals(rng, 2.0, 2 * SPAN)
+        waits = np.diff(start)
+        moment = 2.0 + (np.append(MEAN, waits) if side == "before" else np.append(waits, MEAN))
+        systems.append([run(start, moment, t_stop=2 * SPAN)])
+    found = recurrence(systems, 0.0, SURE)
+    known, chance = (found.before, found.after) if side == "before" else (found.after, found.before)
+    assert known.value == pytest.approx(1.0)
+    assert chance.low < 0.1
+    assert chance.high > -0.1
+    assert abs(chance.value) < 0.5

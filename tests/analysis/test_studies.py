@@ -165,11 +165,14 @@ def test_matrices_that_cannot_be_told_apart_give_no_interval():
 
 
 def test_magnitudes_of_little_say_why_they_have_no_law(rng):
-    """Few systems, none at all, and one value."""
+    """Few systems, none at all, one value, and a law whose events are in systems of one event each."""
     for systems in ([], [np.zeros(0)] * 5, [rng.exponential(size=500)] * 3):
         found = magnitudes.magnitudes_of(systems, 0.95)
         assert (found.picture, found.has_b) == (magnitudes.Picture.OPEN, False)
     assert magnitudes.magnitudes_of([np.zeros(100)] * 5, 0.95).picture is magnitudes.Picture.NONE
+    ones = [values[None] for values in rng.exponential(0.5, 4000)]
+    found = magnitudes.magnitudes_of(ones, 0.95)
+    assert magnitudes.b_positive(found, [[values] for values in ones], 0.95).value is None
 
 
 def test_the_sums_of_systems_have_b_and_its_interval(rng):

@@ -11,7 +11,7 @@ import pytest
 
 from stickslip.analysis import Study, build, measures
 from stickslip.analysis.findings.finding import Change as Changed
-from stickslip.analysis.findings.finding import Course, Lack, Level, Reason, Verdict
+from stickslip.analysis.findings.finding import Course, Lack, Level, Reason, Threshold, Verdict
 from stickslip.analysis.findings.place import EVERYWHERE
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.grid import axes_of
@@ -161,7 +161,12 @@ def test_shares_of_runs_that_stick_late(swept, settings):
     assert 0.5 < row.difference_low < row.difference_high <= 1
     mean = changes(answer)["belt_speed"]
     assert (mean.first_value, mean.verdict) == ("-0.2", Verdict.SAME), "against the first that has runs"
-    assert sentence(answer.findings[0]).startswith("Share of runs still in stick-slip rises from 0% to 100%")
+    first = answer.findings[0]
+    assert isinstance(first, Threshold)
+    assert (first.is_end, first.key, first.last, first.first) == (False, "belt_speed", "-0.3", "-0.2")
+    assert sentence(first) == "Stick-slip begins between belt_speed = \u22120.3 and \u22120.2, in all 20 systems."
+    some = ended(data, data.members["member_id"].isin(["m0-0", "m1-0"]), "collapsed")  # at -0.1 two runs
+    assert not any(isinstance(one, Threshold) for one in changes_of(Study(some, settings)).findings)
 
 
 def test_motion_that_ends_for_most_runs_is_a_change_of_their_share(swept, settings):

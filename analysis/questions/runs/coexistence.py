@@ -23,6 +23,19 @@ from stickslip.sim.numerics.arguments import Floats
 T = TypeVar("T")
 _STICK_SLIP = "stick-slip"
 _NOUNS = {REST: "rest", SLIDING: "steady sliding", **dict.fromkeys((PERIODIC, TORUS, IRREGULAR), _STICK_SLIP)}
+_MOVES = 0.5  # of the largest amplitude: a block that moves less is not named
+_MOST_NAMED = 4
+
+
+class Stability(NamedTuple):
+    """The linear stability of steady sliding at a setting: medians over systems; blocks of one system."""
+
+    setting: str
+    n_stable: int
+    n_systems: int
+    growth_rate: float
+    frequency: float
+    blocks: str
 
 
 class Boundary(NamedTuple):
@@ -55,6 +68,40 @@ class _Limit(NamedTuple):
     words: str
     by: Bound
     stop: Stop | None = None
+
+
+def stability(study: Study, grid: Grid) -> list[Stability]:
+    """Of each setting of which the critical mode is recorded."""
+    if "critical_rate" not in study.data.recorded:
+        return []
+    members, shapes = study.data.table.own, study.data.lists["critical_shape"]
+    rows = []
+    for setting in grid.settings:
+        of_system = np.unique(members["matrix"].to_numpy()[setting.runs.rows], return_index=True)[1]
+        systems = setting.runs.rows[of_system]
+        rates, frequencies = (study.number(f"critical_{name}")[systems] for name in ("rate", "frequency"))
+        if np.isnan(rates).all():
+            continue
+        n_stable = int(np.sum(~np.isnan(rates) & ~np.asarray(is_unstable(rates))))
+        shape = shapes.get(str(members["member_id"].iloc[systems[0]])) if len(systems) == 1 else None
+        rate, frequency = (float(np.nanmedian(numbers)) for numbers in (rates, frequencies))
+        rows.append(
+            Stability(
+                str(setting.where), n_stable, len(systems), rate, frequency, _blocks(shape, study.settings.names)
+            )
+        )
+    return rows
+
+
+def _blocks(shape: Floats | None, names: Sequence[str]) -> str:
+    """The blocks that move most in a mode, by name if they have names."""
+    if shape is None:
+        return ""
+    order = [int(block) for block in np.argsort(-shape, kind="stable") if shape[block] >= _MOVES]
+    moving = [names[block] if names else str(block) for block in order]
+    if len(moving) == len(shape) > 1:
+        return "all"
+    return listed(moving[:_MOST_NAMED]) + f" and {len(moving) - _MOST_NAMED} more" * (len(moving) > _MOST_NAMED)
 
 
 def boundaries(study: Study, grid: Grid) -> list[Boundary]:

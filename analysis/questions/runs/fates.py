@@ -46,12 +46,14 @@ from stickslip.analysis.models.fates import (
     QUIET,
     Curve,
     half_ended,
+    is_unstable,
     median,
     survival,
 )
 from stickslip.analysis.questions.runs import bifurcations, coexistence, fate_figures, portraits
 from stickslip.analysis.questions.runs.settled import (
     MOST_LEADING,
+    PREDICATES,
     Grid,
     Outcome,
     Portion,
@@ -60,6 +62,7 @@ from stickslip.analysis.questions.runs.settled import (
     portions,
     predicates,
     regimes,
+    share_of,
     stretches,
     things,
     together,
@@ -155,6 +158,7 @@ def answer(study: Study) -> Answer | None:
         ),
         tables={
             "fates": frame_of(Portion, shares),
+            "stability": frame_of(coexistence.Stability, coexistence.stability(study, grid)),
             "boundaries": frame_of(coexistence.Boundary, boundaries),
             "burn_in": frame_of(burn_in.Tested, tested),
             "by_t_burn": frame_of(burn_in.AtBurn, by_t_burn),
@@ -213,7 +217,7 @@ def _findings(study: Study, grid: Grid, ends: Sequence[Ends]) -> tuple[list[Find
         leading += [_lifetime(study, row) for row in lifetimes if row is lead]
         secondary += [_lifetime(study, row) for row in lifetimes if row is not lead]
     with_ends = [row.setting for row in ends]
-    return leading, [*secondary, *_delays(study), *_means(study, with_ends)]
+    return leading, [*secondary, *_delays(study), *_stability(study, with_ends), *_means(study, with_ends)]
 
 
 def _outcomes(
@@ -306,6 +310,26 @@ def _last_events(group: Group) -> pd.Series:
     times = np.where(np.isin(group.fates, (*ENDS, QUIET)), group.last[:, 0], np.nan)
     units, places = np.unique(group.column("unit").to_numpy(), return_inverse=True)
     return pd.Series(np.bincount(places, times) / np.bincount(places), units)
+
+
+def _stability(study: Study, settings: Sequence[Setting]) -> Iterator[Share]:
+    """What runs do whose state in which all blocks slip is linearly stable, and those of which it is unstable."""
+    if not settings:
+        return
+    runs = together(settings)
+    rates = study.data.table.own["growth_rate"].to_numpy(np.float64)[runs.rows]
+    unstable = np.asarray(is_unstable(rates))
+    for state, chosen, kind in (
+        ("stable", ~np.isnan(rates) & ~unstable, SLIDING),
+        ("unstable", unstable, ESCAPING),
+    ):
+        subset = runs.at(chosen)
+        if len(subset.rows) and runs.n_of(kind):
+            nothing = np.zeros(len(subset.rows))
+            share = share_of(subset.kinds == kind, nothing, subset.units, study.settings.confidence)
+            basis = Basis(len(np.unique(subset.units)), noun(study.unit))
+            name = f"runs with a linearly {state} all-slip state"
+            yield Share(f"{state}_{kind}", name, PREDICATES[kind], share, EVERYWHERE, None, basis, len(subset.rows))
 
 
 def _means(study: Study, settings: Sequence[Setting]) -> list[Level]:

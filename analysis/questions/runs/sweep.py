@@ -20,13 +20,14 @@ from stickslip.analysis.catalogues import bent, read
 from stickslip.analysis.contrast import Contrast, contrast, course
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
-from stickslip.analysis.findings.finding import Finding, KeyChange, Lack, Level, Reason, Scale, Turn
+from stickslip.analysis.findings.finding import Basis, Finding, KeyChange, Lack, Level, Reason, Scale, Threshold, Turn
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital
 from stickslip.analysis.grid import Grid, Point, axes_of, balanced, estimate, is_negative, points_at
 from stickslip.analysis.measures import MOTION, STICKING, B, Measure
 from stickslip.analysis.members import RELATIVE, noun
-from stickslip.analysis.models.fates import QUIET, WATCHED
+from stickslip.analysis.models.fates import MOVING, QUIET, WATCHED
+from stickslip.analysis.questions.runs.coexistence import is_asked
 from stickslip.analysis.questions.runs.sweep_figures import figures
 from stickslip.analysis.rows import Columns, frame_by
 from stickslip.analysis.stats import enough
@@ -65,7 +66,9 @@ def answer(study: Study) -> Answer | None:
     steps = judged_together(unjudged, 1 - grid.confidence)
     judged = [step for step in steps if step.contrast.is_known]
     order = _order(grid, [step for step in judged if step.setting == grid.settings[0]] or judged)
-    lead = _lead(grid, order, judged, unit)
+    # where stick-slip ends is said better by `fates`, if it is asked there
+    ends = [] if is_asked(study) else [end for setting in grid.settings for end in _thresholds(grid, setting, unit)]
+    lead = _lead(grid, ends, order, judged, unit)
     further = [finding for finding in _rest(grid, order, judged, unit) if finding not in lead]
     pictures = figures(grid, order, [*judged], study.settings.units) if judged else {}
     tables = {"changes": table_of(steps), "sweep_measures": _table(grid)}
@@ -257,8 +260,10 @@ def _order(grid: Grid, steps: Sequence[Step]) -> list[str]:
     return [STICKING, *names] if is_moved else [*names, STICKING]
 
 
-def _lead(grid: Grid, order: Sequence[str], steps: Sequence[KeyStep], unit: str) -> list[Finding]:
-    """Changes of the first measure; if none of these is shown, one that is too."""
+def _lead(
+    grid: Grid, thresholds: Sequence[Threshold], order: Sequence[str], steps: Sequence[KeyStep], unit: str
+) -> list[Finding]:
+    """Where stick-slip ends, and changes of the first measure; if none of these is shown, one that is too."""
     leading = order[:2] if order[0] == STICKING else order[:1]
     shown = {step.statistic for step in steps if step.contrast.is_shown}
     if shown.isdisjoint(leading):
@@ -266,10 +271,13 @@ def _lead(grid: Grid, order: Sequence[str], steps: Sequence[KeyStep], unit: str)
     chosen = [
         step
         for name in leading
+        if not (thresholds and name == STICKING)
         for setting in grid.settings
         for step in _largest_changes([step for step in steps if (step.statistic, step.setting) == (name, setting)])
     ]
-    return [step.change(unit) for step in chosen or steps[:1]]
+    if not (thresholds or chosen):
+        chosen = [*steps[:1]]
+    return [*thresholds, *(step.change(unit) for step in chosen)]
 
 
 def _largest_changes(steps: Sequence[KeyStep]) -> list[KeyStep]:
@@ -301,6 +309,36 @@ def _rest(grid: Grid, order: Sequence[str], steps: Sequence[KeyStep], unit: str)
         for step in of_name:
             if step.is_last or name in order[:2]:
                 yield step.change(unit)
+
+
+def _thresholds(grid: Grid, setting: Label, unit: str) -> Iterator[Threshold]:
+    """Between which values of the first key all runs cease to be in motion, or begin to, wherever the others are."""
+    axis, *axes = grid.axes
+    by_place: dict[tuple[KeyValues, ...], list[Point]] = {}
+    for point in grid.points[setting]:
+        by_place.setdefault(tuple(point.place[further_axis] for further_axis in axes), []).append(point)
+    for place, points in by_place.items():
+        moves = [_all_or_none(point) for point in points]
+        if None in (moves[0], moves[-1]) or moves[0] == moves[-1]:
+            continue
+        end = max(k for k, is_moving in enumerate(moves) if is_moving == moves[0])
+        begin = moves.index(moves[-1])
+        if end > begin:
+            continue  # more than once
+        keys = tuple((further_axis.name, in_words(value)) for further_axis, value in zip(axes, place, strict=True))
+        where = grid.where[setting] + Place(keys)
+        n_units = min(point.group.column("unit").nunique() for point in points)
+        ends = [in_words(points[k].place[axis]) for k in (end, begin)]
+        yield Threshold("stick-slip", bool(moves[0]), axis.name, ends[0], ends[1], where, Basis(n_units, unit))
+
+
+def _all_or_none(point: Point) -> bool | None:
+    """Whether all runs of a point are in motion, or none; None if some are, or if that cannot be told."""
+    n_runs = sum(point.fates[name] for name in WATCHED)
+    n_moving = sum(point.fates[name] for name in MOVING)
+    if not n_runs or 0 < n_moving < n_runs or point.fates[QUIET]:
+        return None
+    return n_moving == n_runs
 
 
 # ---------------------------------------------------------------------------------------------------- what is left

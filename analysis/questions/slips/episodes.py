@@ -108,6 +108,9 @@ M_CUT = Quantity("cut_off", "magnitude of the cut-off")
 WHOLE = Quantity("whole", "share of episodes that take all blocks", Form.SHARE)
 BETWEEN = Quantity("between", "mean time between large events", more="longer than", less="shorter than")
 REGULARITY = Quantity("large_cv", "coefficient of variation of times between large events")
+SLIP_PREDICTABLE = Quantity("before", "rank correlation of the moments of large events with the time before")
+TIME_PREDICTABLE = Quantity("after", "rank correlation of the moments of large events with the time after")
+B_POSITIVE = Quantity("b_positive", "b-value from rises alone (b-positive)")
 APART = Quantity("apart", "Kolmogorov-Smirnov distance between magnitudes")
 B_VALUE = Quantity("b", "b-value")
 MOMENT = Quantity("moment", "mean moment", dimension="length")
@@ -140,6 +143,7 @@ _GROUPS: Columns[Catalogues] = {
     "most": (float, lambda group: _known(group.law.most)),
     "n_fitted": (int, lambda group: group.law.n_fitted),
     "b": (Estimate, lambda group: group.law.b),
+    "b_positive": (Estimate, lambda group: group.b_positive),
     "cut_off": (Estimate, lambda group: group.law.cut_off),
     "gap": (float, lambda group: group.law.gap),
     "over_log_normal": (Estimate, lambda group: group.law.ratios.get("log-normal", Estimate())),
@@ -161,6 +165,8 @@ _RECURRENCE: Columns[Catalogues] = {
     "n_cut": (int, lambda group: group.recurrence.n_cut),
     "mean": (Estimate, lambda group: group.recurrence.mean),
     "cv": (Estimate, lambda group: group.recurrence.cv),
+    "before": (Estimate, lambda group: group.recurrence.before),
+    "after": (Estimate, lambda group: group.recurrence.after),
     "reason": (str, lambda group: group.recurrence.cv.reason),
 }
 _METHODS: Columns[Apart] = {
@@ -408,18 +414,26 @@ def _picture(study: Study, group: Catalogues, where: Place) -> list[Finding]:
     elif law.picture is Kind.CUT_OFF:
         findings.append(Level(M_CUT, law.cut_off, where, basis=basis))
     findings += _times_between(group, where, basis)
+    if law.has_b and group.b_positive.value is not None:
+        findings.append(Level(B_POSITIVE, group.b_positive, where, basis=basis))
     if group.whole.value:
         findings.append(Level(WHOLE, group.whole, where, basis=basis))
     return findings
 
 
 def _times_between(group: Catalogues, where: Place, basis: Basis) -> list[Finding]:
-    """How regular large events are, and how far apart."""
+    """How regular large events are, how far apart, and whether their size tells of the time before or after."""
     times = group.recurrence
     large = where + Place.words(f"M \u2265 {times.least:.2f}")
+    quantities = {
+        REGULARITY: times.cv,
+        BETWEEN: times.mean,
+        SLIP_PREDICTABLE: times.before,
+        TIME_PREDICTABLE: times.after,
+    }
     return [
         Level(quantity, estimate, large, _beside_poisson(estimate) if quantity is REGULARITY else None, basis)
-        for quantity, estimate in ((REGULARITY, times.cv), (BETWEEN, times.mean))
+        for quantity, estimate in quantities.items()
         if estimate.value is not None
     ]
 
