@@ -96,12 +96,16 @@ def products(n_vectors: int, single: bool = False) -> Any:
 
 
 def pair_products(single: bool = False) -> Any:
-    """For kernels: ``f(panels, x, y, columns, m)`` makes y_k = K x_k of two vectors, over the first m columns listed.
+    """As `listed_products`, of two, with panels of `PAIR_HEIGHT` and float64, or `SINGLE_PAIR_HEIGHT` and float32."""
+    return listed_products(2, SINGLE_PAIR_HEIGHT if single else PAIR_HEIGHT, single)
 
-    As `products`, with panels of `PAIR_HEIGHT` and float64, or of `SINGLE_PAIR_HEIGHT` and float32; y alone is as
-    long as they are high. x_j of a column that is not listed counts as zero.
+
+def listed_products(n_vectors: int, height: int, single: bool) -> Any:
+    """For kernels: ``f(panels, x, y, columns, m)``, as `products`, but over the first m columns listed.
+
+    x_j of a column that is not listed counts as zero; y alone is as long as the panels are high.
     """
-    panel = _panel(2, SINGLE_PAIR_HEIGHT if single else PAIR_HEIGHT, single, listed=True)
+    panel = _panel(n_vectors, height, single, listed=True)
 
     @inner
     def apply(panels: NDArray[Real], x: NDArray[Real], y: NDArray[Real], columns: Ints, m: int) -> None:

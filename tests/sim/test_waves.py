@@ -302,14 +302,14 @@ def test_a_start_on_the_edge_between_two_modes_is_left_to_series(rng):
 
 def test_many_equal_blocks_stay_together():
     """Blocks that rounding alone tells apart have their events within the tolerance of each other."""
-    n = 256
+    n, tol = 256, 1e-4
     system = System(np.eye(n) + 0.0025, 0.1, 1.0, -0.2, static=1.3)
-    run = simulate(system, 0.3, -0.2, 25.0, tol=1e-4)
+    run = simulate(system, 0.3, -0.2, 25.0, tol=tol)
     assert run.stats.method == WAVES
     assert len(run.events) % n == 0
     assert len(run.events) > 2 * n
-    assert np.ptp(run.events.t.reshape(-1, n), axis=1).max() < 1e-5
-    assert np.ptp(run.z) < 1e-5
+    assert np.ptp(run.events.t.reshape(-1, n), axis=1).max() < tol
+    assert np.ptp(run.z) < tol
 
 
 def test_a_dense_array_that_is_nearly_empty_is_run_as_a_sparse_one(rng):

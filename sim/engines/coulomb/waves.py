@@ -22,7 +22,7 @@ from stickslip.sim.engines.waveform import control as limits
 from stickslip.sim.engines.waveform.control import Control
 from stickslip.sim.engines.waveform.friction import SetValued
 from stickslip.sim.engines.waveform.layout import Exact, Model, Shared, Workspace
-from stickslip.sim.engines.waveform.matrices import matrices_of
+from stickslip.sim.engines.waveform.matrices import matrices_of, signed_sum
 from stickslip.sim.engines.waveform.runs import WaveformRuns, tables_of
 from stickslip.sim.engines.waveform.step import take
 from stickslip.sim.kernels.compile import kernel
@@ -64,10 +64,12 @@ class _Waves(WaveformRuns):
         block.mode = np.where(u != 0.0, np.sign(u), np.where(np.abs(pull) < block.static, 0.0, -np.sign(pull)))
         # as if after a step of length 1: F goes on along its tangent, or a block let go at once would leave late
         block.kept_f += np.outer(NODES - 1.0, system.stiffness @ task.w0)
+        block.kept_z += np.outer(NODES - 1.0, task.w0)
         modes = block.mode.astype(np.int8)[np.newaxis]
         self.initial_modes, self.collapse = modes.copy(), [Collapse(system, followed, cost=limits.certificate(task))]
         exact = Exact(limits.EXACT_CALIBRATION * tol, 0.5 * max(0.0, system.least_damping), system.fastest_belt)
         self.begin_clocks(modes, exact.tol, max(system.fastest_belt, float(np.abs(task.w0).max())))
+        self.single_rates = limits.single_rate(np.array([signed_sum(system)])) / limits.EXACT_SINGLE_SHARE
         self.states.counters[:, loop.N_PRODUCTS] = 2
         self.work = Workspace.of(self.tables, modes, False, _PIECES * n + _MORE, is_exact=True)
         self.events_a_step, Shared(self.work.shared).safety = len(self.work.changes.x), self.safety

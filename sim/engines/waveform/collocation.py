@@ -217,11 +217,11 @@ def _probe(block: Any, law: Law) -> Lane:
 
 
 def _force(is_change: bool) -> Callable[[Any, Law], None]:
-    """F from the products of K with z or with its change; the changes of w by that of F and by its tail."""
+    """F, or its change, from products of K; the changes of w by that of F and by its tail."""
 
     def formula(block: Any, law: Law) -> None:
-        drag, before, product = block.drag, block.f, block.product
-        after = [product[k] + (before[k] if is_change else drag) for k in range(STAGES)]
+        drag, before, product, change = block.drag, block.f, block.product, block.change
+        after = [change[k] + (before[k] if is_change else product[k] + drag) for k in range(STAGES)]
         most = absolute(after[0] - before[0])
         for k in range(1, STAGES):
             most = greater(most, absolute(after[k] - before[k]))

@@ -25,8 +25,8 @@ CALIBRATION = 5.0
 #: A substep has the tolerance SUBSTEP tol^POWER, and the safety factor is that over tol: by superconvergence the
 #: error at its end is far less than that of the polynomial.
 SUBSTEP, POWER = 3.0, 0.85
-#: The error of w allowed for K in single precision, over tolerance.
-SINGLE_SHARE = 0.05
+#: The error of w allowed for K in single precision, over tolerance: under a smooth law, and under the set-valued one.
+SINGLE_SHARE, EXACT_SINGLE_SHARE = 0.05, 0.25
 #: The sizes of numbers, at least and at most, whose products in single precision neither underflow nor overflow.
 SINGLE_LEAST, SINGLE_MOST = 1e-30, 1e30
 #: The rounding of F, over F and the sum of the magnitudes of the terms of K z: eight units in the last place.
@@ -42,10 +42,17 @@ TAIL = 3.0
 #: error of the prediction, always the same: on a stick-slip cycle it adds up step by step, over the many steps of
 #: tight tolerances.
 ITERATED = 3.0
+#: Under the set-valued law the first iteration has products of those blocks alone whose z is off its prediction, of
+#: so many at least, unless more than a share of all are: off by so many tolerances, over the step and what signs at
+#: random leave of the largest row sum of |K|, a share of n^(-1/2).
+FEWEST, MOST_OFF, OFF = 100, 0.25, 20.0
 #: The share of that at which the first iteration is the last, since the error of a prediction keeps its sign.
 AT_ONCE = 0.1
 #: The contraction of an iteration counts as at most this.
 SLOWEST = 0.9
+#: Under the set-valued law the contraction of the next iteration over that of this one: what it repeats is an
+#: integral over time, so that k of them have a factor of 1 / k!, or, without damping, of 1 / (2 k)!.
+FASTER = 0.5
 
 # ------------------------------------------------------------------------------------------------------ macro steps
 
@@ -131,7 +138,7 @@ STEEP = 0.05
 #: less than so many tolerances; else by series.
 SOFT, COLLOCATED = 0.25, 4.0
 #: The largest |R| h of a series, and the most pieces of a block in a macro step.
-LONGEST_SERIES, MOST_PIECES = 2.0, 24
+LONGEST_SERIES, MOST_PIECES = 1.0, 24
 #: Below this |u| over |v|, w cannot be told from v.
 AT_BELT = 2.0**-51
 #: The error allowed in w, over the tolerance of the settings and the scale of w.
@@ -154,7 +161,7 @@ class Control(NamedTuple, Generic[loop.Number]):
     bound: loop.Number  #: of |z_i| and |w_i|
     longest: float  #: the longest step, by the frequencies of forces
     safety: float  #: the safety factor, tolerance of a substep over that of the run
-    single_rate: loop.Number  #: the error of K z in single precision, over the change of z
+    single_rate: loop.Number  #: the error of K z in single precision, over the change of z and the share allowed
 
 
 class Solution(NamedTuple):
@@ -187,9 +194,9 @@ def next_step(control: Control[float], clock: Floats) -> float:
 
 
 @inner
-def single_limit(control: Control[float], atol: float, h: float) -> float:
+def single_limit(control: Control[float], atol: float, h: float, lag: float) -> float:
     """The largest change of z in a step whose product with K may be in single precision."""
-    return SINGLE_SHARE * atol / (max(1.0, h) * h * control.single_rate)
+    return atol / (max(1.0, h) * max(h, lag) * control.single_rate)
 
 
 @inner

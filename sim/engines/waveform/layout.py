@@ -82,8 +82,11 @@ class Blocks(Table, nodes=STAGES):
     z: Nodes
     kept_f: Nodes  #: of the last macro step, as the next
     kept_u: Nodes
+    kept_z: Nodes  #: that of which F was
     z_before: Nodes  #: of the last iteration
-    product: Nodes  #: of K with z, or with its change
+    z_near: Nodes  #: a z whose product with K is known to double precision
+    product: Nodes  #: of K with it
+    change: Nodes  #: of z since; then that of F, by products in single precision and beside K z
     mean_u: Nodes  #: the L2 projection of u
     # by powers of the place in the macro step
     g: Nodes  #: F
@@ -210,7 +213,7 @@ class Workspace(NamedTuple):
     modes: NDArray[np.int8]  #: by each definition of sticking, shape (m, n)
     modes_before: NDArray[np.int8]  #: by the first, shape (n,)
     is_split: NDArray[np.bool_]  #: whether a block takes substeps, shape (n,)
-    split: NDArray[np.int64]  #: the blocks that do
+    split: NDArray[np.int64]  #: the blocks that do; under the set-valued law, those off their prediction
     next_h: Floats  #: a block's next substep, shape (n,)
     next_h_before: Floats  #: at the start of the macro step
     end_u: Floats  #: u and z at the end of a block's last substep, shape (n,)

@@ -31,8 +31,8 @@ from stickslip.sim.numerics.lanes import ALL, WIDTH
 from stickslip.sim.numerics.radau import ALL_TO_POWERS, PROJECT, STAGES
 from stickslip.sim.numerics.roots import BINOMIALS, horner, roots
 
-#: Terms of a series below this share of the largest are left out.
-_LEAST = 1e-17
+#: Terms of a series below this share of the largest, or of the error of w allowed, are left out.
+_LEAST, _LEAST_OF_ERROR = 1e-17, 1e-3
 #: The integral over [0, 1] of the power k times the power q, 1 / (k + q + 1).
 _MOMENTS = 1.0 / np.add.outer(np.arange(ORDER + 2), np.arange(1.0, STAGES + 1.0))
 #: What a piece ends with.
@@ -106,13 +106,15 @@ def _until_exit(force: Floats, static: float, left: float, poly: Floats, places:
 
 
 @inner
-def _series_of_u(force: Floats, h: float, drag: float, push: float, u: float, length: float, series: Floats) -> int:
+def _series_of_u(
+    force: Floats, h: float, drag: float, push: float, u: float, length: float, least: float, series: Floats
+) -> int:
     """The powers of u over a length h, scaled to it: (k + 1) u_k+1 = -R h u_k - h F_k - h mu s, the last for k = 0.
 
     `drag` is R h and `push` is h (F + mu s) at the start: a block that is let go at |F| = mu has none, to the last
     bit.
     `force` is in powers of x, and `length` over the macro step. Returns the order beyond which terms, which then fall
-    like those of an exponential, are rounding.
+    like those of an exponential, are rounding, or below the `least`.
     """
     series[0], most = u, abs(u)
     power = length
@@ -124,7 +126,7 @@ def _series_of_u(force: Floats, h: float, drag: float, push: float, u: float, le
             pull += h * force[k] * power
         series[k + 1] = -pull * _MOMENTS[k, 0]
         most = max(most, abs(series[k + 1]))
-        if k >= STAGES and abs(series[k + 1]) <= _LEAST * most:
+        if k >= STAGES and abs(series[k + 1]) <= max(_LEAST * most, least):
             return k
         power *= length
     return ORDER
@@ -190,7 +192,7 @@ def _solve_block(work: Workspace, i: int, h: float, n_pieces: int) -> int:
     force, series, poly, places, moments = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
     damping, mu, static, belt = block.damping[i], block.friction[i], block.static[i], block.belt[i]
     u, z, mode, x, z0 = block.u0[i], block.z0[i], block.mode[i], 0.0, block.z0[i]
-    is_let_go, lag = False, 0.0
+    is_let_go, lag, least = False, 0.0, _LEAST_OF_ERROR * block.tolerance[i]
     _begin_force(block, i, force)
     for p in range(STAGES):
         moments[p] = 0.0
@@ -206,7 +208,7 @@ def _solve_block(work: Workspace, i: int, h: float, n_pieces: int) -> int:
             if abs(damping) * h * left > control.LONGEST_SERIES:
                 left = control.LONGEST_SERIES / (abs(damping) * h)
             push = 0.0 if is_let_go and static == mu else h * left * (force[0] + mu * mode)
-            order = _series_of_u(force, h, h * left * damping, push, u, left, series)
+            order = _series_of_u(force, h, h * left * damping, push, u, left, least, series)
             for k in range(order + 1):
                 poly[k] = mode * series[k]
             first = _first_fall(poly, order, control.AT_BELT * abs(belt), places)

@@ -49,7 +49,8 @@ class WaveformRuns(Several):
         forces = [forces_of(task.system, *start) for task, *start in zip(tasks, self.drives, z, w, strict=True)]
         drag, force = np.array(forces).swapaxes(0, 1)
         block.drag, block.force0 = drag, force
-        block.kept_f, block.kept_u = force[:, np.newaxis], u[:, np.newaxis]
+        block.kept_f, block.kept_u, block.kept_z = force[:, np.newaxis], u[:, np.newaxis], z[:, np.newaxis]
+        block.z_near = np.inf  # no product is known
         self.bounds, self.lengths = np.empty(len(tasks)), np.array([drive.length for drive in self.drives])
 
     def begin_clocks(self, modes: NDArray[np.int8], tol: float, scale: float = 1.0) -> Floats:
@@ -71,7 +72,7 @@ class WaveformRuns(Several):
             ]
         )
         self.states = loop.State.at_start(self.tasks, modes[:, 0].copy(), [(step, 1.0, 0.0, 0.0) for step in steps])
-        self.single_rates = control.single_rate(block.row_sum.max(axis=1))
+        self.single_rates = control.single_rate(block.row_sum.max(axis=1)) / control.SINGLE_SHARE
         return steps
 
     def goal(self, drive: Drive) -> Control[Floats]:

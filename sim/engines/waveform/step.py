@@ -39,11 +39,12 @@ from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats, Ints
 from stickslip.sim.numerics.arithmetic import copy, largest
 from stickslip.sim.numerics.lanes import WIDTH
-from stickslip.sim.numerics.panels import products
+from stickslip.sim.numerics.panels import SINGLE_HEIGHT, listed_products, products
 from stickslip.sim.numerics.radau import NODES, STAGES, TO_POWERS
 from stickslip.sim.numerics.roots import horner
 
 _products, _single_products = products(STAGES), products(STAGES, single=True)
+_listed_products = listed_products(STAGES, SINGLE_HEIGHT, single=True)
 
 
 @inner
@@ -98,31 +99,63 @@ def _times(matrix: Matrix, x: Floats, y: Floats) -> None:
 
 
 @inner
-def _product_of_change(model: Model, work: Workspace, control: Control[float], limit: float) -> bool:
-    """K times the change of z in single precision; False, with no result, if it would not be accurate enough."""
-    block, single, single_product = blocks(work.table), work.single, work.single_product
-    n, product = len(work.is_split), block.product
+def _product_of_change(model: Model, work: Workspace, control: Control[float], m: int, limit: float) -> bool:
+    """K times `change` in single precision; False, with no result, if it would not be accurate enough.
+
+    Only of the first `m` blocks listed, if `m` is not zero.
+    """
+    single, single_product = work.single, work.single_product
+    n, change, most = len(work.is_split), blocks(work.table).change, 0.0
     for k in range(STAGES):
-        for i in range(n):
-            product[k, i] = block.z[k, i] - block.z_before[k, i]
-    most = 0.0
-    for k in range(STAGES):
-        most = max(most, largest(product[k, :n]))
+        most = max(most, largest(change[k, :n]))
     if not (most < limit and is_in_single_range(control, most)):
         return False
     for k in range(STAGES):
         for i in range(n):
-            single[k, i] = np.float32(product[k, i])
-    _single_products(model.stiffness.single_panels, single, single_product)
+            single[k, i] = np.float32(change[k, i])
+    if m > 0:
+        _listed_products(model.stiffness.single_panels, single, single_product, work.split, m)
+    else:
+        _single_products(model.stiffness.single_panels, single, single_product)
     for k in range(STAGES):
         for i in range(n):
-            product[k, i] = single_product[k, i]
+            change[k, i] = single_product[k, i]
     return True
 
 
 @inner
+def _couple_changed(model: Model, exact: Exact | None, work: Workspace, control: Control[float], h: float) -> int:
+    """Add to F what blocks do whose z is off its prediction, by the columns of K that are theirs alone.
+
+    These are the blocks with an event in this step or the last. Returns how many there are, 0 if F is as it was.
+    """
+    if exact is None or len(model.stiffness.single_panels) == 0 or len(work.is_split) < limits.FEWEST:
+        return 0
+    else:
+        block, weights, n, m = blocks(work.table), shared(work.shared).weights, len(work.is_split), 0
+        change, size = block.change, block.error
+        for k in range(STAGES):
+            for i in range(n):
+                value = block.z[k, i]
+                for j in range(STAGES):
+                    value -= weights[k, j] * block.kept_z[j, i]
+                change[k, i] = value
+                size[i] = value * value + (size[i] if k > 0 else 0.0)
+        least = limits.OFF * math.sqrt(n) * shared(work.shared).atol[0] / (h * largest(block.row_sum[:n]))
+        for i in range(n):
+            if size[i] > least * least:
+                work.split[m] = i
+                m += 1
+        if m == 0 or m > limits.MOST_OFF * n or not _product_of_change(model, work, control, m, np.inf):
+            return 0
+        for first in range(0, n, WIDTH):
+            force_changed(block, first, model.law)
+        return m
+
+
+@inner
 def _add_cross(model: Model, work: Workspace) -> None:
-    """Add N times u, of a block that took substeps its L2 projection, to the product."""
+    """Add N times u, of a block that took substeps its L2 projection, to the change of F."""
     block, product, n = blocks(work.table), work.product, len(work.is_split)
     for k in range(STAGES):
         for i in range(n):
@@ -130,34 +163,31 @@ def _add_cross(model: Model, work: Workspace) -> None:
     _times(model.cross, block.mean_u, product)
     for k in range(STAGES):
         for i in range(n):
-            block.product[k, i] += product[k, i]
+            block.change[k, i] += product[k, i]
 
 
 @inner
-def _couple(
-    model: Model, work: Workspace, control: Control[float], is_first: bool, limit: float
-) -> tuple[float, float]:
-    """F from z (and u) at the nodes. Returns the changes of w by that of F and by its tail, over tolerance."""
-    block, n = blocks(work.table), len(work.is_split)
-    may_add = not is_first and len(model.stiffness.single_panels) > 0 and not model.has_cross
-    is_change = may_add and _product_of_change(model, work, control, limit)
-    if not is_change:
-        _times(model.stiffness, block.z, block.product)
-    if model.has_cross:
-        _add_cross(model, work)
-    if not is_change:
-        for k in range(len(work.forcing)):
-            for i in range(n):
-                block.product[k, i] -= work.forcing[k, i]
+def _couple(model: Model, work: Workspace, control: Control[float], h: float, is_first: bool) -> None:
+    """F from z (and u) at the nodes; under a smooth law the first one is in double precision."""
+    block, n, change = blocks(work.table), len(work.is_split), blocks(work.table).change
+    may_add = len(model.stiffness.single_panels) > 0 and not (is_first and model.exact is None)
     for k in range(STAGES):
         for i in range(n):
             block.z_before[k, i] = block.z[k, i]
+            change[k, i] = block.z[k, i] - block.z_near[k, i]
+    limit = single_limit(control, shared(work.shared).atol[0], h, largest(block.lag[:n]))
+    if not (may_add and _product_of_change(model, work, control, 0, limit)):
+        _times(model.stiffness, block.z, block.product)
+        for k in range(STAGES):
+            for i in range(n):
+                block.z_near[k, i], change[k, i] = block.z[k, i], 0.0
+    if model.has_cross:
+        _add_cross(model, work)
+    for k in range(len(work.forcing)):
+        for i in range(n):
+            change[k, i] -= work.forcing[k, i]
     for first in range(0, n, WIDTH):
-        if is_change:
-            force_changed(block, first, model.law)
-        else:
-            force(block, first, model.law)
-    return largest(block.moved[:n]), largest(block.tail[:n])
+        force(block, first, model.law)
 
 
 @inner
@@ -212,6 +242,8 @@ def _solve_waveform(
     is too large the step is given up: iterations hardly change it.
     """
     most_left = min(1.0, (limits.ITERATED / control.safety) ** 2)
+    faster = 1.0 if model.exact is None else limits.FASTER
+    block, n = blocks(work.table), len(work.is_split)
     tail, contraction, last = 0.0, clock[limits.CONTRACTION], np.inf
     n_substeps, n_split, is_last, converged = 0, 0, False, False
     for iteration in range(limits.MOST_ITERATIONS):
@@ -222,18 +254,21 @@ def _solve_waveform(
         if is_last and n_split == n_split_before:
             converged = True
             break
-        limit = single_limit(control, shared(work.shared).atol[0], h)
-        moved, tail = _couple(model, work, control, iteration == 0, limit)
-        counters[loop.N_PRODUCTS] += STAGES * (2 if model.has_cross else 1)
-        moved, tail = moved * control.safety, tail * control.safety
+        n_columns = _couple_changed(model, model.exact, work, control, h) if iteration == 0 else 0
+        if n_columns > 0:
+            counters[loop.N_PRODUCTS] += STAGES * n_columns // n
+        else:
+            _couple(model, work, control, h, iteration == 0)
+            counters[loop.N_PRODUCTS] += STAGES * (2 if model.has_cross else 1)
+        moved, tail = largest(block.moved[:n]) * control.safety, largest(block.tail[:n]) * control.safety
         if not tail < limits.TAIL:
             break
         now = min(moved / last, limits.SLOWEST) if iteration > 0 else contraction
         enough = most_left * (1.0 - now) * (limits.AT_ONCE if iteration == 0 else 1.0)
-        if moved < enough and _probe_blocks(model, model.exact, work, n_split) == n_split:
+        if moved < enough and n_columns == 0 and _probe_blocks(model, model.exact, work, n_split) == n_split:
             converged = True
             break
-        is_last = iteration > 0 and moved * now < enough
+        is_last = iteration > 0 and moved * now * faster < enough
         last, contraction = moved, now
     return Solution(converged, tail, contraction, n_substeps)
 
@@ -275,6 +310,7 @@ def _accept(work: Workspace, state: State, h: float) -> None:
     for k in range(STAGES):
         copy(block.f[k], block.kept_f[k])
         copy(block.u[k], block.kept_u[k])
+        copy(block.z_before[k], block.kept_z[k])
 
 
 class Window(NamedTuple):
