@@ -29,6 +29,7 @@ SCENE = """\
 coupling = "file"
 path = "{name}"
 n = {n}
+{damping}
 [start]
 z = 0.5
 w = 0.0
@@ -274,7 +275,9 @@ def damage(seed: int, number: int, folder: Path) -> tuple[str, File]:
         NO_FILES[kind](path)
     else:
         path.write_bytes(DAMAGE[kind](file, rng))
-    (folder / "mine.toml").write_text(SCENE.format(name=file.name, n=file.n) + ENDING)
+    (folder / "mine.toml").write_text(
+        SCENE.format(name=file.name, n=file.n, damping="" if "damping" in file.arrays else "rho = 3.5") + ENDING
+    )
     return kind, before
 
 

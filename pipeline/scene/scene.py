@@ -736,7 +736,9 @@ def _look(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, dict[
     if isinstance(law, dict) and isinstance(law.get("table"), str) and not law.keys() & {"speeds", "coefficients"}:
         facts["system"] = {"weakening": law | read_friction_table(law["table"], folder)}
     if isinstance(system, dict):
-        facts["system"] = facts.get("system", {}) | _look_at_series(system, folder)
+        run = tables.get("run")
+        t_end = run.get("t_end") if isinstance(run, dict) else None
+        facts["system"] = facts.get("system", {}) | _look_at_series(system, folder, t_end)
     # a function is tried in a scene, which has its ends then
     facts["system"] = facts.get("system", {}) | _look_at_systems(_merged(tables, facts), folder, name)
     if isinstance(units, dict) and has_units:
@@ -779,14 +781,14 @@ def _scales_of(scene: Scene, table: Mapping[str, Any], folder: Path) -> dict[str
         ) from None
 
 
-def _look_at_series(system: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The keys of [system] that name a file of a series, with what it holds."""
+def _look_at_series(system: Mapping[str, Any], folder: Path, t_end: object) -> dict[str, Any]:
+    """The keys of [system] that name a file of a series, with what it holds, from 0 to `t_end`."""
 
     def seen(key: str, table: Any) -> Any:
         if isinstance(table, list):
             return [seen(key, each) for each in table]
         is_new = isinstance(table, dict) and isinstance(table.get("table"), str) and "series" not in table
-        return look_at_series(f"system.{key}", table, folder) if is_new else table
+        return look_at_series(f"system.{key}", table, folder, t_end) if is_new else table
 
     keys = {key: seen(key, system[key]) for key in ("belt_speed", "force") if key in system}
     drive = system.get("drive")
@@ -801,7 +803,7 @@ def _look_at_systems(tables: Mapping[str, Any], folder: Path, name: str) -> dict
         return {}
     coupling, path = system.get("coupling"), system.get("path")
     if coupling in OF_FILES and is_path(path):
-        return {"files": look_at_files(path, folder, coupling == OF_GRAPH)}
+        return {"files": look_at_files(path, folder, system, coupling == OF_GRAPH)}
     if not isinstance(coupling, str) or not is_function(coupling):
         return {}
     sha256 = resolve(coupling, folder, KEY).sha256

@@ -488,6 +488,12 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
         return self.files or {}
 
     @property
+    def assumes_masses(self) -> bool:
+        """Whether K is read from files and masses, which nothing gives, are 1."""
+        given = [*self.known_files.values()]
+        return self.coupling == OF_FILE and self.mass is None and not all("mass" in file.arrays for file in given)
+
+    @property
     def rubbing(self) -> OnBlocks | None:
         """The blocks that have friction; None: all."""
         return None if self.contacts is None else OnBlocks(tuple(int(block) for block in self.contacts))

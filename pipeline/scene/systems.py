@@ -8,6 +8,7 @@ import glob
 import inspect
 import os
 import pickle
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
@@ -25,12 +26,13 @@ from stickslip.pipeline.own.function import OwnFunction
 from stickslip.pipeline.own.trial import Trial, tried
 from stickslip.pipeline.scene.graph_files import graph_of
 from stickslip.pipeline.scene.other_files import OtherKind
-from stickslip.pipeline.scene.readers import FORMATS
+from stickslip.pipeline.scene.readers import FORMATS, reader_of
+from stickslip.pipeline.scene.readers.text import Text
 from stickslip.pipeline.scene.source import MAX_FILES
 from stickslip.pipeline.scene.system_files import NAMES, arrays_of, series_of
 from stickslip.pipeline.scene.toml import shown
 from stickslip.sim.numerics.arguments import per_block
-from stickslip.sim.runs.blocks import named
+from stickslip.sim.runs.blocks import PATTERN, named
 from stickslip.sim.systems.drive import Piecewise
 from stickslip.sim.systems.system import System
 from stickslip.sim.systems.terms import OF_BLOCKS
@@ -191,10 +193,11 @@ def _arrays(system: _Content, others: Mapping[str, _Content], is_graph: bool) ->
     return arrays
 
 
-def look_at_series(key: str, table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def look_at_series(key: str, table: Mapping[str, Any], folder: Path, t_end: object) -> dict[str, Any]:
     """The table of a `Measured`, with what its file holds; `key` is what errors begin with.
 
-    Raises `SceneError` if the file cannot be read, or does not hold times that increase, and values.
+    Raises `SceneError` if the file cannot be read, or does not hold times that increase, from 0 to the end of the
+    runs, `t_end` if that is a number, and values.
     """
     name, columns = table["table"], table.get("columns", [])
     content = content_of(folder / name, key)
@@ -205,6 +208,14 @@ def look_at_series(key: str, table: Mapping[str, Any], folder: Path) -> dict[str
             f"{key}: {name}: expected times that increase, got {times[k + 1]:.15g} after {times[k]:.15g} in row"
             f" {k + 2} of the numbers; leave one out"
         )
+    last = t_end if isinstance(t_end, int | float) else float(times[-1])
+    for time, value, is_short in ((0.0, values[0], times[0] > 0.0), (last, values[-1], times[-1] < last)):
+        if is_short:
+            rest = f" take `t_end = {times[-1]:.15g}`, or" if time else " subtract the first from all, or"
+            raise SceneError(
+                f"{key}: {name}: expected values from 0 to t_end = {last:.15g}, got them from {times[0]:.15g} to"
+                f" {times[-1]:.15g};{rest} say what it is there by a row, as {time:.15g}, {value:.15g} for a constant"
+            )
     facts = {"sha256": digest(content), "n": len(times), "extremes": [float(values.min()), float(values.max())]}
     return {**table, "series": facts}
 
@@ -300,11 +311,14 @@ def split(path: str, folder: Path) -> tuple[str, str]:
     return (file, variable) if file and variable.isidentifier() and not (folder / path).exists() else (path, "")
 
 
-def look_at_files(path: str | Mapping[str, str], folder: Path, is_graph: bool = False) -> dict[str, dict[str, Any]]:
+def look_at_files(
+    path: str | Mapping[str, str], folder: Path, table: Mapping[str, Any], is_graph: bool = False
+) -> dict[str, dict[str, Any]]:
     """Digest and facts of each file that a pattern matches, by its name beside the scene, as plain values.
 
     From then on the scene can be read without them, and a changed file makes another scene. `path` may name one file
-    for each of several arrays. Raises `SceneError` if there is no such file, or it holds no system.
+    for each of several arrays; `table` is that of [system]. Raises `SceneError` if there is no such file, it holds no
+    system, or blocks have other names there, or if nothing says what the damping beside a K is.
     """
     paths = {"stiffness": path} if isinstance(path, str) else dict(path)
     first = paths.pop("stiffness")
@@ -331,7 +345,27 @@ def look_at_files(path: str | Mapping[str, str], folder: Path, is_graph: bool = 
     for name, file in zip(names, files, strict=True):
         system = _Content(str(file), content_of(file, _PATH), variable)
         facts[name] = _checked(system, others, is_graph) | ({"others": keys} if keys else {})
+        if not (is_graph or "damping" in facts[name]["arrays"] or {"damping", "rho", "rayleigh"} & {*table}):
+            raise SceneError(
+                f"system.damping: expected that of the blocks whose K is in {name}, found none there; add `damping ="
+                ' 0.0`, or `rayleigh = [a, b]`, its file, as path = {stiffness = "K.csv", damping = "C.csv"}, or'
+                " `rho = 3.5`, which draws it"
+            )
+        for part in () if is_graph else (system, *others.values()):
+            _check_headings(part, table[NAMES] if isinstance(table.get(NAMES), list) else ())
     return facts
+
+
+def _check_headings(part: _Content, names: Sequence[object]) -> None:
+    """Refuse names of blocks that are not those by which a text of numbers calls its rows or columns."""
+    for labels in Text(part.bytes).labels if names and reader_of(part.bytes) is Text else ():
+        if len(labels) == len(names) and all(re.fullmatch(PATTERN, label) for label in labels):
+            for k, (label, name) in enumerate(zip(labels, names, strict=True)):
+                if label != name:
+                    raise SceneError(
+                        f"system.names: expected {label!r} for block {k}, as {part.name} calls it, got"
+                        f" {shown(name)}; write names in the order of the file, or take its headings away"
+                    )
 
 
 def _matching(folder: Path, pattern: str) -> list[Path]:

@@ -15,6 +15,7 @@ not matter, unless damping couples one to an exit with m_i > mu_i, which depends
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.variations import carry
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.runs.series import EventSeries
 from stickslip.sim.systems.drive import Harmonic
@@ -31,8 +33,8 @@ from stickslip.sim.systems.system import System
 
 #: Terms of the exponential series, of matrices up to this size: the next is 1e-16.
 _TERMS, _SIZE = 13, 0.5
-#: Steps where friction falls with speed, over its fastest rate, and terms of the series of a deviation there.
-_STEP, _ORDER = 0.35, 14
+#: Steps where friction falls with speed, over its fastest rate.
+_STEP = 0.35
 #: Nodes of a step, of Gauss; from values there to the coefficients of the polynomial through them.
 _NODES = 0.5 + 0.5 * np.polynomial.legendre.leggauss(5)[0]
 _THROUGH = np.linalg.inv(np.vander(_NODES, increasing=True))
@@ -170,9 +172,8 @@ class Path:
         n = self.system.n
         moved = np.identity(2 * n)
         moved[n:][self.modes[0] == 0] = 0.0
-        for k, flow in enumerate(self._flows()):
+        for k in self._edges(moved):
             self._pass(k, moved)
-            moved = flow @ moved
         if not is_forced:
             self._onto_section(0, moved)
         moved[n:][self.modes[0] == 0] = 0.0
@@ -235,44 +236,23 @@ class Path:
 
     # ------------------------------------------------------------------------------------------ between events
 
-    def _flows(self) -> Iterator[Floats]:
-        """exp(A t) from each edge to the next, shape (2n, 2n)."""
-        n, m, lengths = self.system.n, len(self.states) - 1, np.diff(self.states.t)
-        at_a_time = max(_ROOM // (4 * n * n), 1)
-        if self.steps is None:
-            matrix = self.system.slip_matrix()
+    def _edges(self, moved: Floats) -> Iterator[int]:
+        """Each edge but the last; from there deviations are carried to the next, in place, when that is asked for."""
+        n, m, lengths, matrix = self.system.n, len(self.states) - 1, np.diff(self.states.t), self.system.slip_matrix()
+        if (steps := self.steps) is None:
+            at_a_time = max(_ROOM // (4 * n * n), 1)
             for first in range(0, m, at_a_time):
                 part = slice(first, first + at_a_time)
-                yield from exponential(_held(matrix, self.modes[1:][part]) * lengths[part, None, None])
+                flows = exponential(_held(matrix, self.modes[1:][part]) * lengths[part, None, None])
+                for k, flow in enumerate(flows, first):
+                    yield k
+                    moved[:] = flow @ moved
             return
-        of = self.steps.segment
-        is_last, flow, first = np.append(of[1:] != of[:-1], True), np.identity(2 * n), 0
-        while first < len(of):
-            part = slice(first, first + at_a_time)
-            steps, ends = self._carried(part, self.steps), np.flatnonzero(is_last[part]) + 1
-            for batch in filter(len, np.split(steps, ends)):
-                flow, first = _product(batch) @ flow, first + len(batch)
-                if is_last[first - 1]:
-                    yield flow
-                    flow = np.identity(2 * n)
-
-    def _carried(self, part: slice, steps: Steps) -> Floats:
-        """Deviations over some steps, by their series, shape (q, 2n, 2n)."""
-        s, n, length = self.system, self.system.n, steps.length[part, None, None]
-        slips, springs = (self.modes[1:][steps.segment[part]] != 0)[:, :, None], s.slip_matrix()[n:, :n]
-        drags = np.moveaxis(_THROUGH @ s.kinetic_slope(self.slip[part]), 1, 0)[..., None]
-        total = np.tile(np.identity(2 * n), (len(length), 1, 1))
-        z, of_w = total[:, :n], [total[:, n:].copy()]
-        for order in range(1, _ORDER + 1):
-            pull = springs @ z - s.damping_force(of_w[-1].swapaxes(1, 2)).swapaxes(1, 2)
-            for drag, w in zip(drags, of_w[::-1], strict=False):
-                pull -= drag * w
-            share = length / order
-            z, w = share * of_w[-1], share * slips * pull
-            of_w.append(w)
-            total[:, :n] += z
-            total[:, n:] += w
-        return total
+        drags, slips = _THROUGH @ self.system.kinetic_slope(self.slip), self.modes[1:][steps.segment] != 0
+        first_steps = np.searchsorted(steps.segment, np.arange(m + 1))
+        for k, (first, last) in enumerate(itertools.pairwise(first_steps.tolist())):
+            yield k
+            carry(matrix[n:], drags[first:last], slips[first:last], steps.length[first:last], moved)
 
 
 def _row(matrix: Any, i: int) -> Floats:
@@ -316,15 +296,6 @@ def exponential(matrices: Floats) -> Floats:
         more = squarings > k
         total[more] = total[more] @ total[more]
     return total
-
-
-def _product(matrices: Floats) -> Floats:
-    """The product of a stack, the last on the left, two by two: calls cost more than products."""
-    product = matrices
-    while len(product) > 1:
-        pairs = product[1::2] @ product[: len(product) - len(product) % 2 : 2]
-        product = np.concatenate([pairs, product[-1:]]) if len(product) % 2 else pairs
-    return np.asarray(product[0])
 
 
 def _held(matrix: Floats, modes: NDArray[np.int8]) -> Floats:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from stickslip.sim.attractors.deviations import LOST, Follow, Path
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.runs.run import Samples
 from stickslip.sim.runs.series import EventSeries, by_block
 from stickslip.sim.systems.system import System
 
@@ -45,98 +44,85 @@ class Near:
     distance: float
 
 
-def near_cycle(
-    system: System,
-    z: Floats,
-    w: Floats,
-    events: EventSeries,
-    n_events: int,
-    back: float,
-    in_order: Callable[[EventSeries], EventSeries],
-    follow: Follow,
-    size_of: Callable[[Path], float],
-    counted: NDArray[np.bool_] | None = None,
-    far: float = FAR,
-) -> Near | None:
-    """The cycle near a state at an entry or a crossing, if a run from that state is on its way to it; else None.
+@dataclass(frozen=True, eq=False)
+class Newton:
+    """Newton's method for cycles of a system whose drive does not depend on time."""
 
-    Parameters
-    ----------
-    system : System
-        Whose drive does not depend on time.
-    z, w : float64, shape (n,)
-    events : EventSeries
-        From that state on, the event there first, at time 0, for one round at least.
-    n_events : int
-        Of a round, of the blocks that count.
-    back : float
-        By how much of the motion's size the state may miss itself.
-    in_order : callable
-        Puts the events of one instant in the order of `events`.
-    follow : Follow
-    size_of : callable
-        The size of the motion on a path.
-    counted : bool, shape (n,), optional
-        The blocks whose events have to be those of the round; default: all.
-    far : float
-        How far from its cycle, of the size of its motion, a run may be to be on its way to it.
-    """
-    n, p = system.n, n_events
-    is_counted = np.full(n, True) if counted is None else counted
-    first = z, w
-    round_events = np.flatnonzero(is_counted[events.block])[1:p]
-    order = round_events[by_block(events.block[round_events])]
-    expected, symbol = (events.block[order], events.mode[order]), (events.block[0], events.mode[0])
-    block, mode = int(symbol[0]), int(symbol[1])
-    before = events.initial_mode
-    modes = before.copy()
-    modes[block] = mode
-    period = float(events.t[-1])
-    missed = math.inf
-    is_held = (modes == 0) | (np.arange(n) == block)
-    nearest, is_on_its_way = None, False
-    for _ in range(_MOST):
-        w = np.where(is_held, system.belt_speed_at(0.0), w)
+    system: System
+    follow: Follow
+    in_order: Callable[[EventSeries], EventSeries]  #: puts the events of one instant in an order without rounding
+    size_of: Callable[[Path], float]  #: the size of the motion on a path
+    back: float  #: by how much of that a state on a cycle may miss itself
+    far: float  #: how far from its cycle, of that, a run on its way to it may be
+    counted: NDArray[np.bool_]  #: the blocks whose events have to be those of the round
+
+    def cycle(self, z: Floats, w: Floats, events: EventSeries) -> Near | None:
+        """The cycle near a state at an entry or a crossing, if a run from that state is on its way to it; else None.
+
+        Parameters
+        ----------
+        z, w : float64, shape (n,)
+        events : EventSeries
+            From that state on, a round of them, those of its ends first, at time 0, and last.
+        """
+        start, x, missed = np.concatenate([z, w]), np.concatenate([z, w]), math.inf
+        round_, nearest, is_on_its_way = events, None, False
+        for _ in range(_MOST):
+            after = self._round(x, round_)
+            if after is None:
+                break
+            round_, path = after
+            error = np.concatenate([path.states.z[-1], path.states.w[-1]]) - x
+            # a state is further from the cycle than it moves in a round: once it is back, more steps go to the cycle
+            size, off_by = self.size_of(path), float(np.linalg.norm(error))
+            if size < LOST or off_by > missed:
+                break
+            matrix = path.monodromy(is_forced=False)
+            step = np.linalg.lstsq(np.identity(len(x)) - matrix, error, rcond=1e-12)[0]
+            if np.abs(error).max() <= self.back * size:
+                off = start - x - step  # from where the next step leads
+                nearest = Near(round_, path, matrix, float(np.linalg.norm(off)) / size)
+                is_on_its_way = _stays_within(self.far * size, matrix, off)
+            missed = off_by
+            if missed <= _EXACT * size:
+                break
+            x += step
+        return nearest if is_on_its_way else None
+
+    def _round(self, x: Floats, last: EventSeries) -> tuple[EventSeries, Path] | None:
+        """The events of a round from a state, as those of the last one, and its path; None if they are others.
+
+        The state, shape (2n,), has its first block, and those that stick, at their belts' speeds from then on.
+        """
+        n, block, counted = self.system.n, int(last.block[0]), self.counted
+        z, w, before = x[:n], x[n:], last.initial_mode
+        modes = before.copy()
+        modes[block] = last.mode[0]
+        belt = self.system.belt_speed_at(0.0)
+        w[:] = np.where((modes == 0) | (np.arange(n) == block), belt, w)
         # a block that does not count is on a side of its belt's speed, and never sticks
-        sides = np.where(w < system.belt_speed_at(0.0), -1, 1)
-        before, modes = (np.where(is_counted, mode_of, sides).astype(np.int8) for mode_of in (before, modes))
-        if not _are_allowed(system, z, w, modes):
-            break
-        after = in_order(follow(z, w, modes, (0.0, _LONGER * period), np.empty(0)).events)
-        places = np.flatnonzero(is_counted[after.block])[:p]
-        if len(places) < p or (after.block[places[-1]], after.mode[places[-1]]) != symbol:
-            break
-        n_after = int(places[-1]) + 1  # with those of blocks that do not count
-        order = places[by_block(after.block[places[:-1]])]
-        if (after.block[order] != expected[0]).any() or (after.mode[order] != expected[1]).any():
-            break
-        t = np.append(0.0, after.t[:n_after])
-        round_ = replace(
-            after, t=t, block=np.append(block, after.block[:n_after]).astype(after.block.dtype),
-            mode=np.append(mode, after.mode[:n_after]).astype(after.mode.dtype), initial_mode=before,
-            t_end=float(t[-1]),
-        )  # fmt: skip
-        ending = partial(_samples, follow, z, w, modes, float(t[-1]))
-        path = Path.of(system, round_, t, ending)
-        error = np.concatenate([path.states.z[-1] - z, path.states.w[-1] - w])
-        size = size_of(path)
-        if size < LOST:
-            break
-        # a state is further from the cycle than it moves in a round: once it is back, more steps go to the cycle
-        off_by = float(np.linalg.norm(error))
-        if off_by > missed:
-            break
-        matrix = path.monodromy(is_forced=False)
-        step = np.linalg.lstsq(np.identity(2 * n) - matrix, error, rcond=1e-12)[0]
-        if np.abs(error).max() <= back * size:
-            start = np.concatenate([first[0] - z, first[1] - w]) - step  # to where the next step leads
-            nearest = Near(round_, path, matrix, float(np.linalg.norm(start)) / size)
-            is_on_its_way = _stays_within(far * size, matrix, start)
-        missed, period = off_by, float(t[-1])
-        if missed <= _EXACT * size:
-            break
-        z, w = z + step[:n], w + step[n:]
-    return nearest if is_on_its_way else None
+        sides = np.where(w < belt, -1, 1)
+        before, modes = (np.where(counted, mode, sides).astype(np.int8) for mode in (before, modes))
+        if not _are_allowed(self.system, z, w, modes):
+            return None
+        run = partial(self.follow, z, w, modes)
+        after = self.in_order(run((0.0, _LONGER * float(last.t[-1])), np.empty(0)).events)
+        listed = np.flatnonzero(counted[last.block])[1:]
+        places = np.flatnonzero(counted[after.block])[: len(listed)]
+        listed[-1] = 0  # it ends as it began
+        if len(places) < len(listed) or _symbols(after, places) != _symbols(last, listed):
+            return None
+        end = int(places[-1]) + 1  # with those of blocks that do not count
+        t, blocks = np.append(0.0, after.t[:end]), np.append(last.block[:1], after.block[:end])
+        passed = np.append(last.mode[:1], after.mode[:end])
+        round_ = replace(after, t=t, block=blocks, mode=passed, initial_mode=before, t_end=float(t[-1]))
+        return round_, Path.of(self.system, round_, t, lambda times: run((0.0, round_.t_end), times).samples)
+
+
+def _symbols(events: EventSeries, places: NDArray[np.intp]) -> list[tuple[int, int]]:
+    """The blocks and modes of some events: the last one last, the others, which may be at one instant, by block."""
+    order = np.append(places[by_block(events.block[places[:-1]])], places[-1])
+    return [*zip(events.block[order].tolist(), events.mode[order].tolist(), strict=True)]
 
 
 def _stays_within(bound: float, matrix: Floats, start: Floats) -> bool:
@@ -146,10 +132,6 @@ def _stays_within(bound: float, matrix: Floats, start: Floats) -> bool:
             return False
         start = matrix @ start
     return True
-
-
-def _samples(follow: Follow, z: Floats, w: Floats, modes: NDArray[np.int8], length: float, times: Floats) -> Samples:
-    return follow(z, w, modes, (0.0, length), times).samples
 
 
 def _are_allowed(system: System, z: Floats, w: Floats, modes: NDArray[np.int8]) -> bool:

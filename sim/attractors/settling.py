@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from stickslip.sim.attractors.deviations import Path, largest
 from stickslip.sim.attractors.growth import TOL, Growth, growth
-from stickslip.sim.attractors.newton import FAR, Near, near_cycle
+from stickslip.sim.attractors.newton import FAR, Near, Newton
 from stickslip.sim.attractors.null_space import NULL, across, null_space
 from stickslip.sim.attractors.result import Attractor
 from stickslip.sim.attractors.rounds import Round, in_order, rounds_of, symbols_of
@@ -350,20 +350,8 @@ class _End:
                     return found
             if distance > self._back * size:
                 return None
-        round_, states = _from_lowest(path, events, period, drift)
         why = f"{p} events, and the state at each, come back"
-        return Attractor(
-            "periodic",
-            why,
-            period,
-            multiplier,
-            None,
-            drift,
-            round_,
-            states,
-            self._extent(path),
-            null_space(self._system),
-        )
+        return self._cycle(path, events, period, drift, multiplier, why)
 
     def _part(self, path: Path, events: EventSeries, drift: Floats, size: float) -> int:
         """Events of the shortest part of a round after which events repeat and the state nearly comes back.
@@ -399,7 +387,7 @@ class _End:
         if (part := self._part(found.path, found.events, drift, size)) < p:
             return self._settled(Round(part, cycle.period * part / p, is_back=False))
         why = f"it settles on a cycle of {p} events, which attracts and is {found.distance:.1g} away"
-        return self._cycle(found, drift, multiplier, why)
+        return self._cycle(found.path, found.events, float(found.events.t[-1]), drift, multiplier, why)
 
     def persisting(self, cycle: Attractor) -> Attractor | None:
         """The cycle of this system that has the events of another's, which the run came from, if it attracts.
@@ -413,8 +401,11 @@ class _End:
         if n_events == 0 or not self._has_newton(len(cycle.events)):
             return None
         near = self._near(Round(n_events, cycle.period, is_back=False), counted, math.inf)
+        if near is None:
+            return None
+        found, drift, multiplier = near
         why = f"the cycle of {n_events} events lasts, and attracts"
-        return None if near is None else self._cycle(*near, why)
+        return self._cycle(found.path, found.events, float(found.events.t[-1]), drift, multiplier, why)
 
     def _near(
         self, cycle: Round, counted: NDArray[np.bool_] | None = None, far: float = FAR
@@ -437,20 +428,22 @@ class _End:
         once = slice(k, int(places[p]) + 1)
         round_ = replace(events, t=events.t[once] - t, block=events.block[once], mode=events.mode[once],
                          initial_mode=events.mode_after(k))  # fmt: skip
-
-        found = near_cycle(s, at.z[0], at.w[0], round_, p, self._close,
-                           lambda some: in_order(some, 0, self._at_once), self._run_from, self._size,
-                           counted, far)  # fmt: skip
+        newton = Newton(
+            s, self._run_from, partial(in_order, first=0, together=self._at_once), self._size, self._close, far,
+            is_counted,
+        )  # fmt: skip
+        found = newton.cycle(at.z[0], at.w[0], round_)
         if found is None or not found.path.is_differentiable(self._at_once):
             return None
         drift = self._drift(found.path, self._size(found.path))
         multiplier = self._multiplier(found.matrix)
         return None if drift is None or multiplier >= 1.0 - self._back else (found, drift, multiplier)
 
-    def _cycle(self, found: Near, drift: Floats, multiplier: float, why: str) -> Attractor:
-        period = float(found.events.t[-1])
-        listed, states = _from_lowest(found.path, found.events, period, drift)
-        size, free = self._extent(found.path), null_space(self._system)
+    def _cycle(
+        self, path: Path, events: EventSeries, period: float, drift: Floats, multiplier: float | None, why: str
+    ) -> Attractor:
+        listed, states = _from_lowest(path, events, period, drift)
+        size, free = self._extent(path), null_space(self._system)
         return Attractor("periodic", why, period, multiplier, None, drift, listed, states, size, free)
 
     def _drift(self, path: Path, size: float, larger: float = _LARGER) -> Floats | None:

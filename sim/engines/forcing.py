@@ -18,12 +18,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from stickslip.sim.engines.contract import Task
 from stickslip.sim.kernels.compile import inner
-from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.arguments import Floats, Ints
 from stickslip.sim.numerics.arithmetic import ROUNDING
 from stickslip.sim.systems.drive import Harmonic, Piecewise
 from stickslip.sim.systems.system import System
@@ -34,25 +36,25 @@ _OF_PHASE = np.finfo(np.float64).eps / ROUNDING
 _APART = 100.0
 
 
-#: Pieces that are worked out at once: of a measured series, NumPy's calls for each would take most of a run.
-_AT_ONCE = 256
+#: Pieces that are worked out at once, and how many numbers of theirs: of a small system a call of a kernel takes as
+#: long as some twenty steps.
+_AT_ONCE, _ROOM = 1024, 2**20
 
-_NOTHING = np.empty((0, 0))
-
-
-class Piece(NamedTuple):
-    """One piece: where it ends, whether it is the last, and at its start the values and slopes, shape (n,) each."""
-
-    end: float
-    is_last: bool
-    force: Floats
-    force_slope: Floats
-    speed: Floats
-    gain: Floats
+#: Rows of the table of a piece: beside g the belts' v and a, R v + N v, and by how much a differs from that of the
+#: piece before; then the phases of the harmonics at its start.
+BELT, GAIN, DRAG, JUMP, PHASE = range(3, 8)
 
 
-#: What is one piece, in which nothing changes.
-_WHOLE = Piece(0.0, True, *[_NOTHING] * 4)
+class Pieces(NamedTuple):
+    """The pieces that a kernel goes through, in order of time; the last of them are ahead."""
+
+    start: Floats  #: shape (k,), as the next two
+    end: Floats
+    length: Floats  #: of an instant that is not the first piece, by macro steps, the time to the next bend
+    tables: Floats  #: shape (k, 8 + m, n)
+    counts: Ints  #: of events, and of ends of all-stuck intervals, that are recorded in each, shape (k, 2)
+    n_ahead: Ints  #: how many are ahead, shape (1,)
+    samples: Floats  #: the times of all samples of the run
 
 
 class Forcing(NamedTuple):
@@ -64,11 +66,16 @@ class Forcing(NamedTuple):
     phase: Floats  #: at the start of the piece
     waves: Floats  #: the coefficients of the harmonics, shape (2 m, n)
     noise: Floats  #: sums of the magnitudes of the terms of each coefficient, by order, shape (orders, n)
+    table: Floats  #: of the present piece; poly and phase are rows of it
+    pieces: Pieces
 
     @classmethod
     def none(cls, *several: int) -> Forcing:
         """No force, on so many runs: arrays of no length, and not None, for which kernels would be compiled again."""
-        return cls(*[np.empty((*several, 0, 0))] * 6)
+        row, table, tables = (np.empty((*several, *[0] * ndim)) for ndim in (1, 2, 3))
+        none_ahead = np.zeros((*several, 1), np.int64)
+        pieces = Pieces(row, row, row, tables, table.astype(np.int64), none_ahead, row)
+        return cls(table, table, table, table, table, table, table, pieces)
 
 
 @inner
@@ -144,7 +151,7 @@ def value_at(forcing: Forcing, s: float, values: Floats) -> None:
 
 
 class Drive:
-    """External forces and belts of a run: its pieces, and what kernels read of the present one.
+    """External forces and belts of a run: its pieces, and what kernels read and change of the present one.
 
     Attributes
     ----------
@@ -152,44 +159,51 @@ class Drive:
         v of the present piece; changed in place, as `forcing` is.
     forcing : Forcing
         None acts if there is no external force, and no belt changes its speed; see `is_forced`.
-    start, end, length : float
-        Of the present piece.
-    is_last, is_instant : bool
-        An instant is the last piece of a run that ends at a bend; its events depend on what comes after.
-    ahead, instant : float
-        The time from there to the next bend, and the rounding of the end.
+    is_last : bool
+        Whether no piece follows on those that are ahead of the kernel: the last is ahead alone.
+    instant : float
+        The rounding of the end, if the last piece has no length but is not the first: its events depend on what comes
+        after. Else -1.
     fastest : float
         The largest frequency of a force.
     """
 
-    forcing = Forcing.none()
-    fastest, is_instant, ahead, instant = 0.0, False, 0.0, 0.0
-    _gains, _is_carried = _NOTHING, False
+    forcing, fastest, instant = Forcing.none(), 0.0, -1.0
 
-    def __init__(self, system: System, t_start: float, t_end: float, orders: int) -> None:
-        self._system, self._starts, self._ends = system, list[float](), list[float]()
+    def __init__(self, task: Task, orders: int) -> None:
+        system, t_start = task.system, task.t_start
+        self._system, self._is_by_steps = system, orders == 0
         self._moves = isinstance(system.belt_speed, Piecewise)
         if not (self._moves or system.force):
-            self.belt_speed, self._next = system.belt_at_zero, iter([_WHOLE._replace(end=t_end)])
-            self._enter(t_start)
+            self.belt_speed, self.is_last = system.belt_at_zero, True
+            self._bounds = np.array([[t_start], [task.t_end], [task.length]])
             return
-        n, self.belt_speed = system.n, np.array(system.belt_speed_at(t_start))
+        n = system.n
         self._bends = [term for term in system.force if isinstance(term, Piecewise)]
         self._waves = [term for term in system.force if isinstance(term, Harmonic)]
         amplitude, frequency = (
             np.array([getattr(wave, name) for wave in self._waves]).reshape(-1, n)
             for name in ("amplitude", "frequency")
         )
-        m = len(self._waves)
-        self.forcing = Forcing(
-            np.zeros((3, n)), amplitude, frequency, np.zeros((m, n)), np.zeros((2 * m, n)), np.zeros((orders, n))
-        )
         self.fastest = max((float(np.abs(w.frequency[w.amplitude != 0.0]).max()) for w in self._waves), default=0.0)
         changing = [term for term in self._bends if not term.is_constant]
         knots = [term.times for term in (*changing, *((system.belt_speed,) if self._moves else ()))]
         inside = self._knots = np.unique(np.concatenate(knots)) if knots else np.empty(0)
-        self._next = self._pieces(t_start, np.append(inside[(inside > t_start) & (inside <= t_end)], t_end))
-        self._enter(t_start)
+        ends = np.append(inside[(inside > t_start) & (inside <= task.t_end)], task.t_end)
+        m = len(self._waves)
+        table = np.zeros((PHASE + m, n))
+        most = max(min(_AT_ONCE, _ROOM // table.size), 2) if self._moves or len(ends) > 1 else 1
+        bounds = self._bounds = np.full((3, most), -np.inf)
+        tables, counts = np.zeros((most, *table.shape)), np.zeros((most, 2), np.int64)
+        start, end, length = bounds
+        pieces = Pieces(start, end, length, tables, counts, np.zeros(1, np.int64), task.samples.t)
+        waves, noise = np.zeros((2 * m, n)), np.zeros((orders, n))
+        self.forcing = Forcing(table[:3], amplitude, frequency, table[PHASE:], waves, noise, table, pieces)
+        self.belt_speed, self._batches = table[BELT], self._cuts(t_start, ends, most)
+        self._over: list[tuple[NDArray[Any], ...]] = []
+        self._prepare()
+        pieces.n_ahead[0] -= 1
+        table[:] = tables[self._place]
 
     @property
     def is_forced(self) -> bool:
@@ -200,112 +214,127 @@ class Drive:
     def is_steady(self) -> bool:
         """Whether belts and forces are constant from the start of the present piece to the end of the run."""
         forcing = self.forcing
-        return self.is_last and not (self._is_carried or forcing.poly[1:].any() or forcing.amplitude.any())
+        changes = (forcing.poly[1:], forcing.amplitude, forcing.table[GAIN:DRAG])
+        return self.is_last and not any(change.any() for change in changes)
+
+    @property
+    def _place(self) -> int:
+        """Of the present piece among those of the kernel."""
+        return self._bounds.shape[1] - 1 - int(self.forcing.pieces.n_ahead[0])
+
+    @property
+    def length(self) -> float:
+        """Of the present piece."""
+        return float(self._bounds[2, self._place])
 
     def value(self) -> Floats:
         """g at the start of the present piece, shape (n,)."""
         forcing = self.forcing
         return forcing.poly[0] + (forcing.amplitude * np.cos(forcing.phase)).sum(axis=0)
 
-    def go_on(self, z: Floats, w: Floats) -> None:
-        """Go on to the next piece; the state, at the end of this one, is put into its frame in place."""
-        u = w - self.belt_speed
-        if self._is_carried:
-            z[:] = self._place(self.end, z)
-        self._enter(self.end)
-        w[:] = self.belt_speed + u
+    def go_on(self) -> None:
+        """Put the next pieces ahead of the kernel, which has come to the end of those before."""
+        self._over.append(self._batch())
+        self._prepare()
 
     def of_user(self, t: float | Floats, z: Floats, w: Floats) -> tuple[Floats, Floats]:
-        """The user's z and w from those of the present piece, shape (n,) at a time, (m, n) at m times.
+        """The user's z and w: shape (n,) at a time in the present piece, (m, n) at m times, after the last `go_on`.
 
         A block that sticks has its belt's speed at that time to the last bit.
         """
-        if not self._is_carried:
+        if not self._moves:
             return z, w
-        return self._place(t, z), self._system.belt_speed_at(t) + (w - self.belt_speed)
-
-    def _place(self, t: float | Floats, z: Floats) -> Floats:
-        """The user's z, of a piece in which belts change their speed."""
-        s = np.expand_dims(t - self.start, -1)
-        place: Floats = z + 0.5 * s * s * self._gains
-        return place
-
-    def place_all_stuck(self, all_stuck: Floats) -> None:
-        """Put sums of z, the second row, at the times in the first, from the frame of the piece into the user's."""
-        if not all_stuck.size:
-            return
-        if self._is_carried:
-            all_stuck[1] += 0.5 * all_stuck[0] ** 2 * self._gains.sum()
-        all_stuck[0] = times(self.start, self.end, all_stuck[0])
+        start, end, _, tables = self.forcing.pieces[:4]
+        place = self._place if np.ndim(t) == 0 else np.searchsorted(end, t)
+        s = np.expand_dims(t - start[place], -1)
+        # of a belt that stops, s may be of any size, and a is 0
+        return z + 0.5 * s * (s * tables[place, GAIN]), self._system.belt_speed_at(t) + (w - tables[place, BELT])
 
     def time(self, s: float) -> float:
         """The time at s of the present piece."""
-        return self.end if s >= self.length else min(self.start + s, self.end)
+        start, end, length = self._bounds[:, self._place].tolist()
+        return end if s >= length else min(start + s, end)
 
-    def times(self, counts: list[int], s: Floats) -> Floats:
-        """As `time`, for s in all pieces so far, with `counts` of them in each."""
-        if len(counts) == 1:
-            return times(self.start, self.end, s)
-        return times(np.repeat(self._starts, counts), np.repeat(self._ends, counts), s)
+    def of_all(self, s: Floats, all_stuck: Floats) -> tuple[NDArray[np.intp], Floats]:
+        """The piece and the time of each event in all pieces so far, from its s, shape (m,).
 
-    def _enter(self, t: float) -> None:
-        """Enter the next piece, which begins at t."""
-        system, forcing = self._system, self.forcing
-        self.start = t
-        piece = next(self._next)
-        self.end, self.is_last = piece.end, piece.is_last
-        self.length = self.end - t
-        if self._ends and t == self.end:
-            self.is_instant, self.instant = True, 0.25 * float(np.spacing(abs(t)))
-            self.ahead = float(np.append(self._knots[self._knots > t], np.inf)[0]) - t
-        if self.is_forced:
-            forcing.poly[0], forcing.poly[1], forcing.poly[2] = piece.force, piece.force_slope, 0.0
-            for phase, wave in zip(forcing.phase, self._waves, strict=True):
-                phase[:] = wave.phase_at(t)
-            if self._moves:
-                gains = self._gains = piece.gain
-                self._is_carried = bool(gains.any())
-                self.belt_speed[:] = piece.speed
-                cross = 0.0 if system.cross_damping is None else system.cross_damping @ gains
-                forcing.poly[0] -= gains
-                forcing.poly[1] -= system.damping * gains + cross
-                forcing.poly[2] -= 0.5 * (system.stiffness @ gains)
-        self._starts.append(t)
-        self._ends.append(self.end)
+        Also puts sums of z, the second row of `all_stuck`, at the s in the first, into the user's frame and time.
+        """
+        if not self.is_forced:
+            only, last = self._bounds[:2, 0].tolist()
+            all_stuck[0] = times(only, last, all_stuck[0])
+            return np.zeros(len(s), np.intp), times(only, last, s)
+        start, end, gain, counts = (np.concatenate(part) for part in zip(*self._over, self._batch(), strict=True))
+        of_event, of_stuck = (np.arange(len(start)).repeat(count) for count in counts.T)
+        all_stuck[1] += 0.5 * all_stuck[0] * (all_stuck[0] * gain[of_stuck])
+        all_stuck[0] = times(start[of_stuck], end[of_stuck], all_stuck[0])
+        return of_event, times(start[of_event], end[of_event], s)
 
-    def _pieces(self, start: float, ends: Floats) -> Iterator[Piece]:
-        """The pieces from a time on between bends, each divided where it would be too long."""
-        for first in range(0, len(ends), _AT_ONCE):
-            bends = np.append(start if first == 0 else ends[first - 1], ends[first : first + _AT_ONCE])
-            cuts = self._cut(bends)
-            force, force_slope = np.zeros((len(cuts) - 1, self._system.n)), np.zeros((len(cuts) - 1, self._system.n))
-            for term in self._bends:
-                force += term.at(cuts[:-1])
-                force_slope += term.slope_at(cuts[:-1])
-            speed = gain = np.empty((len(cuts) - 1, 0))
-            if self._moves:
-                speeds = self._system.belt_speed
-                speed, gain = speeds.at(cuts[:-1]), speeds.slope_at(cuts[:-1])
-            is_last = first + _AT_ONCE >= len(ends)
-            for k, end in enumerate(cuts[1:].tolist()):
-                yield Piece(end, is_last and k == len(cuts) - 2, force[k], force_slope[k], speed[k], gain[k])
+    def _batch(self) -> tuple[NDArray[Any], ...]:
+        """Of the pieces of the kernel: start, end, a summed over the blocks, and counts."""
+        start, end, _, tables, counts = self.forcing.pieces[:5]
+        return start.copy(), end.copy(), tables[:, GAIN].sum(axis=1), counts.copy()
+
+    def _prepare(self) -> None:
+        """Fill in the next pieces; those of an earlier batch that stay before them have no counts."""
+        system, pieces, (bounds, self.is_last) = self._system, self.forcing.pieces, next(self._batches)
+        k = pieces.n_ahead[0] = len(bounds) - 1
+        pieces.counts[:] = 0
+        start, end, length, tables = (part[-k:] for part in pieces[:4])
+        start[:], end[:] = bounds[:-1], bounds[1:]
+        length[:] = end - start
+        if self.is_last and self._over and start[0] == end[0]:
+            self.instant = 0.25 * float(np.spacing(abs(end[0])))
+            if self._is_by_steps:
+                length[0] = np.append(self._knots[self._knots > end[0]], np.inf)[0] - end[0]
+        poly, belt, gain = tables[:, :3].swapaxes(0, 1), tables[:, BELT], tables[:, GAIN]
+        poly[:] = 0.0
+        for term in self._bends:
+            poly[0] += term.at(start)
+            poly[1] += term.slope_at(start)
+        for place, wave in enumerate(self._waves, PHASE):
+            tables[:, place] = wave.phase_at(start[:, np.newaxis])
+        belt[:] = system.belt_speed_at(start)
+        tables[:, DRAG] = self._damped(belt)
+        if self._moves:
+            gain[:] = system.belt_speed.slope_at(start)
+            tables[:, JUMP] = np.diff(gain, axis=0, prepend=self.forcing.table[np.newaxis, GAIN])
+            poly[0] -= gain
+            poly[1] -= self._damped(gain)
+            poly[2] -= 0.5 * (system.stiffness @ gain.T).T
+
+    def _damped(self, speed: Floats) -> Floats:
+        """R v + N v for speeds, shape (k, n)."""
+        cross = self._system.cross_damping
+        drag: Floats = self._system.damping * speed
+        return drag if cross is None else drag + (cross @ speed.T).T
+
+    def _cuts(self, start: float, ends: Floats, most: int) -> Iterator[tuple[Floats, bool]]:
+        """Bounds of pieces, at most so many at once, from a time on; and whether it is the last, alone."""
+        cuts = np.array([start])
+        for first in range(0, len(ends), most):
+            cuts = np.append(cuts, self._cut(np.append(cuts[-1], ends[first : first + most])))
+            while len(cuts) > most + 1:
+                yield cuts[: most + 1], False
+                cuts = cuts[most:]
+        if len(cuts) > 2:
+            yield cuts[:-1], False
+        yield cuts[-2:], True
 
     def _cut(self, bends: Floats) -> Floats:
-        """Ends of pieces: bends, and between them places where belts would be carried too far."""
+        """Ends of pieces: bends but the first, and between them places where belts would be carried too far."""
         rate, lengths = self._system.fastest_rate, np.diff(bends)
         if not (self._moves and rate > 0):
-            return bends
+            return bends[1:]
         speeds = self._system.belt_speed
         gains = np.abs(speeds.slope_at(bends[:-1])).max(axis=1)
         sizes = np.abs(speeds.at(bends)).max(axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
             longest = np.sqrt(2 * _APART * np.maximum(sizes[:-1], sizes[1:]) / (rate * gains))
-            parts = np.where((gains > 0) & (lengths > 0), np.ceil(lengths / longest), 1.0).astype(np.int64).tolist()
-        cuts = bends[:1].tolist()
-        for part, start, end in zip(parts, bends[:-1].tolist(), bends[1:].tolist(), strict=True):
-            cuts += [start + (end - start) * (k / part) for k in range(1, part)]
-            cuts.append(end)
-        return np.array(cuts)
+            parts = np.where((gains > 0) & (lengths > 0), np.ceil(lengths / longest), 1.0).astype(np.int64)
+        first, last, length, part = (np.repeat(x, parts) for x in (bends[:-1], bends[1:], lengths, parts))
+        k = np.arange(1, len(part) + 1) - np.repeat(parts.cumsum() - parts, parts)
+        return np.where(k == part, last, first + length * (k / part))
 
 
 def times(start: float | Floats, end: float | Floats, s: float | Floats) -> Floats:

@@ -37,6 +37,11 @@ Aim = TypeVar("Aim", bound=Goal)
 Window = TypeVar("Window")
 
 
+@inner
+def _nothing(model: Any, work: Any, state: State) -> None:
+    """What there is to do where each window begins anew."""
+
+
 class Way(NamedTuple, Generic[Model, Work, Aim, Window]):
     """A way to follow a motion: functions that kernels call.
 
@@ -53,6 +58,8 @@ class Way(NamedTuple, Generic[Model, Work, Aim, Window]):
     carry: Callable[[Model, Work, Aim, State, Window, bool, Precheck, Events, int], tuple[Window, int, bool]]
     """``(..., is_after_event, precheck, events, n_recorded)``: go on to the next event, or to the end of the window,
     with the samples on the way. Returns the window, how many events are recorded, and if there is no progress."""
+    enter: Callable[[Model, Work, State], None] = _nothing
+    """Begin a piece, whose numbers are there, as is the state in its frame."""
 
 
 def frame(
@@ -63,13 +70,14 @@ def frame(
     Why each ended, and what it recorded, is put into a row of `slices`: see `Several.advance`. A second call goes on
     from there.
     """
-    blank, open_next, note, at, carry = way
+    blank, open_next, note, at, carry, enter = way
 
     @inner
-    def take(run: Stack[Model, Work, Aim, int], events: Events, precheck: Precheck) -> tuple[int, int]:
+    def take(
+        run: Stack[Model, Work, Aim, int], events: Events, precheck: Precheck, n_recorded: int, n_last: int
+    ) -> tuple[int, int]:
         model, work, goal, state = run.model, run.work, run.goal, run.state
-        clock, counters = state.clock, state.counters
-        n_recorded, n_last, window = 0, loop.n_tried(counters) + loop.STEPS_A_SLICE, blank()
+        clock, counters, window = state.clock, state.counters, blank()
         while loop.n_tried(counters) < n_last:
             remaining = goal.t_end - clock[loop.TIME]
             if remaining <= 0.0 and not goal.is_last:
@@ -106,9 +114,21 @@ def frame(
         stack: Stack[Model, Work, Any, Ints], events: Events, precheck: Precheck, first: int, slices: Ints
     ) -> None:
         for row in range(len(slices)):
-            run = by_reference(run_of(stack, first + row))
+            k, counters, lengths = first + row, stack.state.counters[first + row], stack.goal.t_end
             buffers = by_reference(rest_of(events, slices, row))
-            status, n_recorded = take(run, buffers, by_reference(precheck))
-            note_slice(slices, row, status, n_recorded, run.state.counters)
+            status, n_recorded, n_last = loop.DONE, 0, loop.n_tried(counters) + loop.STEPS_A_SLICE
+            while True:
+                run = by_reference(run_of(stack, k))
+                pieces, state = run.model.forcing.pieces, run.state
+                if pieces.n_ahead[0] > 0 and state.clock[loop.TIME] >= lengths[k]:
+                    lengths[k] = loop.enter(run.model.forcing, state, lengths[k])
+                    enter(run.model, run.work, state)
+                    run = by_reference(run_of(stack, k))
+                n_before, n_stuck = n_recorded, counters[loop.N_ALL_STUCK]
+                status, n_recorded = take(run, buffers, by_reference(precheck), n_recorded, n_last)
+                loop.count(pieces, n_recorded - n_before, counters[loop.N_ALL_STUCK] - n_stuck)
+                if status != loop.DONE or pieces.n_ahead[0] == 0:
+                    break
+            note_slice(slices, row, status, n_recorded, counters)
 
     return take_all

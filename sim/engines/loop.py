@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines import certificates
 from stickslip.sim.engines.contract import Task
-from stickslip.sim.engines.forcing import Drive, Forcing
+from stickslip.sim.engines.forcing import BELT, GAIN, Drive, Forcing, Pieces
 from stickslip.sim.engines.precheck import Precheck, too_far
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats, Ints
-from stickslip.sim.numerics.arithmetic import largest
+from stickslip.sim.numerics.arithmetic import copy, largest
 from stickslip.sim.runs.run import IntegrationError, Outcome, Run, StalledError, Stats, Stills
 from stickslip.sim.runs.series import EventSeries, without_returns
 
@@ -95,7 +95,7 @@ def _buffers(capacity: int, thread: int) -> Events:
 class Buffers(NamedTuple):
     """The times of samples, shape (m,), and buffers for them, shape (m, n)."""
 
-    t: Floats  #: from the start of the piece; infinite beyond its end
+    t: Floats  #: from the start of the piece; beyond its end from that of an earlier one
     z: Floats
     w: Floats
 
@@ -124,7 +124,8 @@ class State(NamedTuple):
         z, w = np.array([[task.z0 for task in tasks], [task.w0 for task in tasks]])
         (m, n), first = mode.shape, tasks[0].samples
         if len(first):
-            samples = Buffers(np.full((m, len(first)), np.inf), first.z[np.newaxis], first.w[np.newaxis])
+            s = first.t - tasks[0].t_start
+            samples = Buffers(s[np.newaxis], first.z[np.newaxis], first.w[np.newaxis])
         else:
             samples = Buffers(np.empty((m, 0)), *np.empty((2, m, 0, n)))
         return cls(z, w, mode, clock, np.zeros((m, N_COUNTERS), np.int64), samples)
@@ -263,6 +264,44 @@ def may_collapse(state: State, slip: int, precheck: Precheck) -> bool:
 
 
 @inner
+def enter(forcing: Forcing, state: State, length: float) -> float:
+    """Go on to the next piece from the end of one of that length, with the state in its frame; returns its length."""
+    z, w, clock, counters, pieces, table = (
+        state.z,
+        state.w,
+        state.clock,
+        state.counters,
+        forcing.pieces,
+        forcing.table,
+    )
+    here = len(pieces.start) - pieces.n_ahead[0]
+    for i in range(len(z)):
+        z[i] += 0.5 * length * (length * table[GAIN, i])
+        w[i] -= table[BELT, i]
+    for row in range(len(table)):
+        copy(pieces.tables[here, row], table[row])
+    for i in range(len(z)):
+        w[i] += table[BELT, i]
+    pieces.n_ahead[0] -= 1
+    k = counters[N_SAMPLED]
+    while k < len(pieces.samples) and pieces.samples[k] <= pieces.end[here]:
+        state.samples.t[k] = pieces.samples[k] - pieces.start[here]
+        k += 1
+    clock[TIME] = clock[LACKING] = 0.0
+    counters[N_STALLED] = 0
+    return pieces.length[here]
+
+
+@inner
+def count(pieces: Pieces, n_events: int, n_stuck: int) -> None:
+    """Add to the events, and the ends of all-stuck intervals, of the present piece, unless it is all of the run."""
+    here = len(pieces.start) - 1 - pieces.n_ahead[0]
+    if here >= 0:
+        pieces.counts[here, 0] += n_events
+        pieces.counts[here, 1] += n_stuck
+
+
+@inner
 def is_within(state: State, bound: float) -> bool:
     """Whether |z_i| and |w_i| are at most the bound; a maximum of floats may lose a NaN, so it is asked this way."""
     return largest(state.z) <= bound and largest(state.w) <= bound
@@ -296,8 +335,6 @@ class Plan(NamedTuple):
     method: str = ""  #: where an engine has several
     settles: Callable[[], certificates.Flow | None] = lambda: None
     """The motion to the end, if all blocks are certain to come to rest without another event; asked after slices."""
-    go_on: Callable[[], None] = lambda: None
-    """Prepares the engine for the next piece, once `state` and `drive` are at its start."""
 
 
 class FirstSlice(NamedTuple):
@@ -320,24 +357,19 @@ def capacity(events_a_step: int) -> int:
 
 
 class _Recorded:
-    """The events of a run so far, and how many of them fall in each piece."""
+    """The events of a run so far."""
 
-    def __init__(self, plan: Plan, state: State, drive: Drive, first_slice: FirstSlice | None) -> None:
-        self._plan, self._counters, self._drive = plan, state.counters, drive
+    def __init__(self, plan: Plan, state: State, first_slice: FirstSlice | None) -> None:
+        self._plan, self._counters = plan, state.counters
         self._capacity = capacity(plan.events_a_step)
-        self._full: list[Events] = []
+        self._full = [] if first_slice is None else [first_slice.events]
         self._events: Events | None = None
-        self.of_piece = [0]
-        if first_slice is not None:
-            self._full.append(first_slice.events)
-            self.of_piece = [len(first_slice.events.t)]
-            drive.place_all_stuck(first_slice.events.all_stuck)
 
     def _begin(self) -> Events:
         self._full = self._all()
         # no run outlives another of its thread, and what is returned of the first buffers is copied
         blank = Events.blank(2 * self._capacity) if self._full else _buffers(2 * self._capacity, get_ident())
-        self._events, self._n, self._n_all_stuck = blank, 0, 0
+        self._events, self._n = blank, 0
         self._counters[N_ALL_STUCK] = 0
         return self._events
 
@@ -348,13 +380,12 @@ class _Recorded:
             events = self._begin()
         status, n_recorded = self._plan.advance(events.part(self._n, self._n + self._capacity), bound)
         self._n += n_recorded
-        self.of_piece[-1] += n_recorded
-        self._drive.place_all_stuck(events.all_stuck[:, self._n_all_stuck : self._counters[N_ALL_STUCK]])
-        self._n_all_stuck = int(self._counters[N_ALL_STUCK])
         return status
 
     def _all(self) -> list[Events]:
-        return self._full if self._events is None else [*self._full, self._events.first(self._n, self._n_all_stuck)]
+        if self._events is None:
+            return self._full
+        return [*self._full, self._events.first(self._n, int(self._counters[N_ALL_STUCK]))]
 
     def all(self) -> Events:
         """All of them."""
@@ -425,10 +456,9 @@ def complete(
         What came of the first slice, if it was run with others.
     """
     z, w, mode, clock, counters, _ = state
-    recorded, divergence = _Recorded(plan, state, drive, first_slice), _Divergence(task, drive)
+    recorded, divergence = _Recorded(plan, state, first_slice), _Divergence(task, drive)
     outcome: Outcome = "finished"
     reason, t_collapse, n_placed = "", None, 0
-    _hand_over(drive, task, state)
     while True:
         status = recorded.slice(divergence.bound) if first_slice is None else first_slice.status
         first_slice = None
@@ -438,9 +468,7 @@ def complete(
             if drive.is_last:
                 break
             n_placed = _to_user(drive, task, state, n_placed)
-            recorded.of_piece.append(0)
-            _enter_next_piece(drive, task, state)
-            plan.go_on()
+            drive.go_on()
         if status == ALL_SLIP:
             certificate = collapse.certify(z, w)
             if certificate.is_certain and t_collapse is None:
@@ -468,7 +496,7 @@ def complete(
     z, w = drive.of_user(t, z, w)
     _to_user(drive, task, state, n_placed)
     events = recorded.all()
-    series = _series(events, recorded.of_piece, task, drive, plan, t)
+    series = _series(events, *drive.of_all(events.t, events.all_stuck), task, plan, t)
     return Run(
         z=z,
         w=w,
@@ -484,13 +512,6 @@ def complete(
     )
 
 
-def _enter_next_piece(drive: Drive, task: Task, state: State) -> None:
-    drive.go_on(state.z, state.w)
-    state.clock[TIME] = state.clock[LACKING] = 0.0
-    state.counters[N_STALLED] = 0
-    _hand_over(drive, task, state)
-
-
 def _steps_left(task: Task, counters: NDArray[np.int64], t: float) -> float:
     """How many steps the rest of a run takes at its pace so far, if they are too many to be worth while, else 0."""
     n, steps = task.system.n, float(counters[N_STEPS])
@@ -499,10 +520,10 @@ def _steps_left(task: Task, counters: NDArray[np.int64], t: float) -> float:
 
 
 def _series(
-    events: Events, of_piece: list[int], task: Task, drive: Drive, plan: Plan, t_end: float
+    events: Events, piece: NDArray[np.intp], t: Floats, task: Task, plan: Plan, t_end: float
 ) -> list[EventSeries]:
     """The series by each definition of sticking, the first without touches that its error cannot tell."""
-    n, t = task.system.n, drive.times(of_piece, events.t)
+    n = task.system.n
     if not len(t):
         return [EventSeries(*_NOTHING[:3], modes, task.t_start, t_end) for modes in plan.initial_modes]
     order = np.lexsort((events.block, t))  # stable: instants that round to one time keep each block's order
@@ -518,22 +539,12 @@ def _series(
     touch = events.touch[order]
     # else no two events are that close, of whichever block
     if plan.tells_touches and (s[1:] - s[:-1] <= touch[1:]).any():
-        piece = np.arange(len(of_piece)).repeat(of_piece)[order]
-        series[0] = without_returns(series[0], piece, s, touch)
+        series[0] = without_returns(series[0], piece[order], s, touch)
     return series
 
 
-def _hand_over(drive: Drive, task: Task, state: State) -> None:
-    """Give the kernel the times of the samples in the present piece, on its clock."""
-    times, first = task.samples.t, int(state.counters[N_SAMPLED])
-    if first == len(times):
-        return
-    last = len(times) if drive.is_last else int(np.searchsorted(times, drive.end, side="right"))
-    state.samples.t[first:last] = times[first:last] - drive.start
-
-
 def _to_user(drive: Drive, task: Task, state: State, first: int) -> int:
-    """Put the samples of the present piece, from `first` on, into the user's frame; returns how many there are."""
+    """Put the samples so far, from `first` on, into the user's frame; returns how many there are."""
     samples, last = task.samples, int(state.counters[N_SAMPLED])
     if last > first:
         of_piece = slice(first, last)

@@ -150,7 +150,7 @@ class Several(ABC):
     models, work, states
         As of `Stack`.
     lengths : float64, shape (runs,)
-        From the start of the present piece to the end.
+        Of the present pieces.
     kernel : callable
         Advances some runs of a `Stack`, as `frame` does.
     bounds : float64, shape (runs,)
@@ -196,9 +196,8 @@ class Several(ABC):
         What they record is written into the buffers, one behind the other, and for each the status, and how many
         events and ends of all-stuck intervals there are, into a row of `slices`.
         """
-        drive = self.drives[first]
-        self.lengths[first] = drive.length
-        stack = Stack(self.models, self.work, self.goal(drive), self.states, self._slips, self.events_a_step)
+        goal = self.goal(self.drives[first])
+        stack = Stack(self.models, self.work, goal, self.states, self._slips, self.events_a_step)
         kernel, arguments = self.kernel, (stack, events, self.collapse[first].precheck, first, slices)
         (_CODE.get(kernel, kernel) if self.is_of_one_type else kernel)(*arguments)
         if self.is_of_one_type and kernel not in _CODE:

@@ -244,10 +244,12 @@ def listed_edges(edges: Floats, n: int | None) -> Edges:
     ends, weights = edges[:, :2], edges[:, 2] if edges.shape[1] == 3 else np.ones(len(edges))
     whole = np.where(np.abs(ends) < 2**53, ends, -1.0).astype(np.int64)
     pairs = np.sort(whole, axis=1)
-    if n is None and len(pairs) and pairs.min() > 0:
+    blocks = np.unique(pairs[pairs >= 0])
+    if n is None and (blocks != np.arange(len(blocks))).any():
+        lone = int(np.argmax(blocks != np.arange(len(blocks))))
         raise ValueError(
-            f"graph: expected blocks counted from 0, got {pairs.min()} as the least; subtract it, or, if the first"
-            " have no springs, give a graph that lists its blocks"
+            f"graph: expected each block from 0 on at a spring, got none of {lone}, and {blocks[lone]} as the next;"
+            " number them without a gap, or, if that has no springs, give a graph that lists its blocks"
         )
     n = integer("n", pairs.max(initial=0) + 1 if n is None else n, 1, None)
     order = np.lexsort(pairs.T)

@@ -155,7 +155,7 @@ def test_defaults_of_graphml_hold_where_an_edge_says_nothing():
 
 def test_edges_where_k_is_expected_are_told_how_they_are_read(graph, tmp_path):
     (tmp_path / "G.csv").write_text(csv(graph))
-    text = SCENE.replace('"graph"', '"file"').replace("kappa = [0.5, 2.0]\nleaf = 0.25\n", "")
+    text = SCENE.replace('"graph"', '"file"').replace("kappa = [0.5, 2.0]\nleaf = 0.25\n", "rho = 3.5\n")
     with pytest.raises(SceneError, match='if it lists edges, coupling = "graph" reads it'):
         scene(tmp_path, text)
 

@@ -12,7 +12,7 @@ from stickslip.pipeline.scene import systems
 from tests.scenes import COULOMB, ensemble
 
 SCENE = ensemble(4, 5.0, 4, COULOMB)
-OF_FILES = SCENE.replace('"antisymmetric"\nn = 4', '"file"\npath = "{}"').replace("matrices = 4\n", "")
+OF_FILES = SCENE.replace('"antisymmetric"\nn = 4', '"file"\npath = "{}"\nrho = 3.5').replace("matrices = 4\n", "")
 MANY = 200_000
 
 SCENES = {

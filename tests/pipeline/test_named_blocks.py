@@ -69,7 +69,7 @@ def test_names_of_files_and_functions_are_those_of_the_scene(tmp_path):
         'start = "rest"\n[run]\nt_end = 5.0\nmatrices = 1\n[[engine]]\nname = "coulomb"\n'
         '[record]\nstick_share = "bit"\n[analysis]\nt_burn = 1.0\ndt = 0.5\n'
     )
-    for source in ('coupling = "file", path = "K.npz"', 'coupling = "own:draw", n = 3'):
+    for source in ('coupling = "file", path = "K.npz", rho = 3.5', 'coupling = "own:draw", n = 3'):
         (tmp_path / "scene.toml").write_text(f"system = {{{source}}}\n{rest}")
         loaded = load_scene(tmp_path / "scene.toml")
         assert loaded.system.block_names == tuple(NAMES)

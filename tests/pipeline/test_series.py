@@ -30,7 +30,7 @@ drive = {block = "top", spring = 2.0, speed = {table = "speed.csv"}}
 z = 0.0
 w = "belt"
 [run]
-t_end = 10.0
+t_end = 8.0
 matrices = 1
 """
 
@@ -106,6 +106,12 @@ def test_another_file_is_another_scene_and_is_not_run_for_the_old(file, scene):
         ),
         ("friction = 0.5", 'friction = {table = "speed.csv"}', r"system\.friction: expected"),
         ("damping = ", "C = ", r"system\.path: expected files of stiffness, .* got one of 'C'"),
+        (
+            'damping = "model.mat:Cd", ',
+            "",
+            r"system\.damping: expected that .* K is in K\.csv, found none there; add",
+        ),
+        ("t_end = 8.0", "t_end = 8.5", r"force: log\.csv: expected values from 0 to t_end = 8\.5, .* 0 to 8; take"),
     ],
 )
 def test_what_does_not_fit_is_refused(old, new, words, scene):
@@ -117,4 +123,45 @@ def test_what_does_not_fit_is_refused(old, new, words, scene):
 def test_times_that_do_not_increase_are_refused_by_row(scene):
     (scene.parent / "speed.csv").write_text("t,v\n0,1\n2,1\n2,1\n")
     with pytest.raises(SceneError, match=r"speed\.csv: expected times that increase, got 2 after 2 in row 3"):
+        load_scene(scene)
+
+
+def test_a_series_that_begins_late_or_ends_early_is_refused_until_a_row_says_what_follows(scene):
+    speed, text = scene.parent / "speed.csv", scene.read_text()
+    scene.write_text(text.replace("t_end = 8.0", "t_end = 12.5").replace("force = {table", "# {table"))
+    with pytest.raises(
+        SceneError, match=r"take `t_end = 8`, or say what .* by a row, as 12\.5, 0\.375 for a constant"
+    ):
+        load_scene(scene)
+    speed.write_text(speed.read_text() + "12.5, 0.375\n")
+    assert load_scene(scene).system.drive.speed.n_values == len(TIMES) + 1
+    np.savetxt(speed, np.column_stack([TIMES + 1000.0, VALUES]), delimiter=",")
+    with pytest.raises(SceneError, match=r"from 1000 to 1008; subtract the first from all, or .* as 0, 0\.25 for"):
+        load_scene(scene)
+
+
+@pytest.mark.parametrize("damping", ["damping = 0.0", "rho = 1.0", "rayleigh = [0.0, 0.1]"])
+def test_damping_beside_a_stiffness_from_a_file_may_be_said_in_the_scene(damping, scene):
+    scene.write_text(
+        scene.read_text().replace('damping = "model.mat:Cd", ', "").replace("[start]", f"{damping}\n[start]")
+    )
+    assert load_scene(scene).n_members == 1
+
+
+@pytest.mark.parametrize(("head", "label", "words"), [
+    ("top,pipe,bit", "", ""),
+    (",top,pipe,bit", "top pipe bit", ""),
+    ("k1 N/m,k2 N/m,k3 N/m", "", ""),  # no names
+    ("top,bit,pipe", "", "expected 'bit' for block 1, as K.csv calls it, got 'pipe'; write names in the order"),
+    (",top,pipe,bit", "top pipe Bit", "expected 'Bit' for block 2, as K.csv calls it, got 'bit'"),
+    ("top,pipe,bit", "pipe top bit", "expected 'pipe' for block 0"),
+])  # fmt: skip
+def test_names_are_those_by_which_a_file_calls_its_blocks(head, label, words, scene):
+    rows = [",".join(map(str, row)) for row in K]
+    rows = [f"{name},{row}" for name, row in zip(label.split(), rows, strict=True)] if label else rows
+    (scene.parent / "K.csv").write_text("\n".join([head, *rows]))
+    if not words:
+        assert load_scene(scene).system.block_names == ("top", "pipe", "bit")
+        return
+    with pytest.raises(SceneError, match=f"system.names: {words}"):
         load_scene(scene)

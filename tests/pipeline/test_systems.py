@@ -30,6 +30,7 @@ SCENE = (
 coupling = "file"
 path = "K.npz"
 n = 4
+rho = 3.5
 belt_speed = [-0.1, -0.2]
 [start]
 z = "file"
@@ -322,6 +323,14 @@ BAD_SCENES = {
     "a scale of a file": ("n = 4", "n = 4\nkappa = 0.2", ["system.kappa", "K itself", "remove it"]),
     "more n than files": ("n = 4", "n = [4, 5]", ["system.n", "got 5, which no file has"]),
 }
+
+
+@pytest.mark.parametrize(("more", "is_said"), [({}, True), ({"mass": np.full(4, 2.0)}, False)])
+def test_masses_that_nothing_gives_are_told(more, is_said, tmp_path, arrays, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path, arrays | more)
+    assert main(["run", "mine.toml", "--dry-run"]) == 0
+    assert ("masses  1, as neither the files nor [system] give any" in capsys.readouterr().out) == is_said
 
 
 def test_copies_of_a_file_are_refused(tmp_path, arrays):

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from stickslip import Harmonic, Piecewise, System, draw_system, simulate
+from stickslip.sim.engines import forcing
+from tests.independent import Case, Ramp, follow
 
 # the system
 
@@ -267,3 +269,68 @@ def test_a_block_without_friction_starts_at_rest_and_not_on_its_belt():
     run = simulate(system, [1.0, 0.0], "belt", 3.0, tol=1e-12)
     np.testing.assert_allclose((run.z[0], run.w[0]), (np.cos(3.0), -np.sin(3.0)), atol=1e-9)
     np.testing.assert_allclose((run.z[1], run.w[1]), (0.3, 0.1), atol=1e-12)
+
+
+# series of many values
+
+
+@pytest.mark.parametrize("at_once", [3, 1024])
+def test_a_measured_series_is_followed_value_by_value(at_once, rng, monkeypatch):
+    """Belts and forces of 150 values each, so many pieces prepared at once, by a method that shares no code."""
+    monkeypatch.setattr(forcing, "_AT_ONCE", at_once)
+    n, k = 3, 150
+    t, other = (np.cumsum(rng.uniform(0.02, 0.2, k)) - 1.0 for _ in range(2))
+    belt, push = -0.3 + 0.2 * rng.uniform(-1.0, 1.0, (k, n)), rng.uniform(-1.0, 1.0, (k, n))
+    stiffness = np.diag(rng.uniform(1.0, 2.0, n)) + 0.3 * rng.uniform(-1.0, 1.0, (n, n))
+    damping, static, z, end = rng.uniform(0.1, 0.5, n), 1.2, rng.normal(size=n), min(t[-1], other[-1])
+    system = System(stiffness, damping, 1.0, Piecewise(t, belt), static, force=Piecewise(other, push))
+    w = system.belt_speed_at(0.0)
+    path = follow(
+        Case.of(stiffness, damping, 1.0, Ramp(t, belt), z, w, static, push=Ramp(other, push)), float(end) + 0.01
+    )
+    samples = np.linspace(0.0, end, 61)
+    run = simulate(system, z, w, float(end) + 0.01, t_eval=samples, tol=1e-12)
+    assert len(run.events) > 10
+    assert run.events.block.tolist() == path.block
+    assert run.events.mode.tolist() == path.mode
+    np.testing.assert_allclose(run.events.t, path.t, atol=1e-8)
+    for states, reference in zip((run.samples.z, run.samples.w), path.at(samples), strict=True):
+        np.testing.assert_allclose(states, reference, atol=1e-9)
+
+
+@pytest.mark.parametrize("settings", [EXACT, FINE])
+def test_a_run_to_a_bend_is_the_same_however_many_pieces_are_prepared_at_once(settings, rng, monkeypatch):
+    system, z, w = driven(rng, t_end=20.0)
+    cuts = np.unique(np.concatenate([system.belt_speed.times, rng.uniform(0.0, 10.0, 20), [10.0]]))
+    cut, runs = system.changed(belt_speed=Piecewise(cuts, system.belt_speed.at(cuts))), []
+    for at_once in (2, 7, 1024):
+        monkeypatch.setattr(forcing, "_AT_ONCE", at_once)
+        runs.append(simulate(cut, z, w, 10.0, t_eval=np.linspace(0.0, 10.0, 101), **settings))
+    for run in runs[:2]:
+        assert run.events.block.tolist() == runs[2].events.block.tolist()
+        assert run.stats == runs[2].stats
+        for found, expected in zip(
+            (run.events.t, run.samples.z, run.samples.w, run.z, run.stills.t, run.stills.total),
+            (
+                runs[2].events.t,
+                runs[2].samples.z,
+                runs[2].samples.w,
+                runs[2].z,
+                runs[2].stills.t,
+                runs[2].stills.total,
+            ),
+            strict=True,
+        ):
+            np.testing.assert_allclose(found, expected, atol=1e-11)
+
+
+def test_events_of_a_late_series_have_the_clock_of_their_piece():
+    """Without springs each of 40 teeth of a force lets a block go, and friction stops it, as at t = 0."""
+    late, tooth = 1e9, np.arange(81)
+    force = Piecewise(late + 0.5 * tooth, np.where(tooth % 2 == 1, 1.25, 0.0))
+    system = System([[0.0]], 0.0, 1.0, 0.0, force=force)
+    run = simulate(system, 0.0, 0.0, late + 40.0, t_start=late, tol=1e-12, stop_early=False)
+    expected = late + np.arange(40)[:, None] + [0.4, 0.6 + math.sqrt(0.02)]
+    np.testing.assert_allclose(run.events.t, expected.ravel(), rtol=np.finfo(float).eps)
+    assert run.events.mode.tolist() == [1, 0] * 40
+    assert run.z[0] == pytest.approx(40 * (0.0025 + 0.05 / 3 * math.sqrt(0.02)), rel=1e-9)

@@ -242,7 +242,7 @@ def test_files_with_any_name_leave_pages_and_figures_that_open(here, rng, tmp_pa
         np.save(tmp_path / "K" / f"{name}.npy", (u - u.T) / 2 + 0.1 * np.eye(20))
     scene, out = tmp_path / "s.toml", tmp_path / OUT
     source = ensemble(20, 20.0, len(NAMES), COULOMB, title="", analysis="t_burn = 1.0\ndt = 0.5\nresamples = 50")
-    scene.write_text(source.replace('"antisymmetric"', '"file"\npath = "K/*.npy"\nfriction = [0.8, 1.0]'))
+    scene.write_text(source.replace('"antisymmetric"', '"file"\npath = "K/*.npy"\nrho = 3.5\nfriction = [0.8, 1.0]'))
     assert main(["run", str(scene), "--out", str(out), "--workers", "1"]) == 0
     said = capsys.readouterr().out.replace(str(out), "")
     assert all(c.isprintable() or c == "\n" for c in said)

@@ -245,6 +245,8 @@ def say_estimate(
     print(printable(f"{file}: {scene.n_members} members in {shards}, into {out}"), flush=True)
     if scene.extent:
         print(f"grid    {scene.extent}", flush=True)
+    if scene.system.assumes_masses:
+        print("masses  1, as neither the files nor [system] give any", flush=True)
     n_to_go = sum(len(batch.members) for batch in to_go)
     if n_to_go < scene.n_members:
         print(f"to go   {n_to_go} members in {len(to_go)} of the shards; the others are there", flush=True)

@@ -58,6 +58,13 @@ class Text(Reader):
         table = self._numbers(range(1 if is_labelled else 0, self._width))
         return table.reshape(-1) if 1 in table.shape else table
 
+    @property
+    def labels(self) -> list[list[str]]:
+        """Texts beside the numbers that have one for each column, or, before them, each row."""
+        first = 0 if self._is_number(self._cells(self._lines[0][1])[0]) else 1
+        rows = [[self._cells(line)[0] for _, line in self._lines]] * first
+        return rows + [head[len(head) - self._width + first :] for head in self._heads]
+
     def columns(self, names: Sequence[str | int]) -> list[np.ndarray]:
         """Some columns, by their headings, or by number from 0; all if none are named."""
         odd = next((head for head in self._heads if all(map(self._is_number, head))), None)

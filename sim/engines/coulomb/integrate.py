@@ -135,7 +135,7 @@ class _Runs(Several):
         self.tols = np.array([engine.tol_of_series(task.system, task.length) for task in tasks])
         systems = [task.system for task in tasks]
         first = systems[0]  # if it is not plain, it is the only one
-        self.drives = [Drive(task.system, task.t_start, task.t_end, control.ORDER_MAX + 1) for task in tasks]
+        self.drives = [Drive(task, control.ORDER_MAX + 1) for task in tasks]
         # arrays from here on are by task and block
         self.models = Model.of(systems, self.drives)
         self.rates = np.array([system.fastest_rate for system in systems])

@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines import certificates, loop, stacks
 from stickslip.sim.engines.contract import Ratios, Task
-from stickslip.sim.engines.forcing import Drive, Forcing
+from stickslip.sim.engines.forcing import Forcing
 from stickslip.sim.engines.loop import Events
 from stickslip.sim.engines.polynomials import Polynomials
 from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.engines.stacks import Stack
 from stickslip.sim.engines.waveform import control as limits
-from stickslip.sim.engines.waveform.control import Control, first_step
+from stickslip.sim.engines.waveform.control import Control
 from stickslip.sim.engines.waveform.events import PASSES
 from stickslip.sim.engines.waveform.friction import Peaked, Plain, Steady
 from stickslip.sim.engines.waveform.layout import Blocks, Model, Shared, Workspace
 from stickslip.sim.engines.waveform.matrices import NONE, Matrix, matrices_of, matrix_of
-from stickslip.sim.engines.waveform.runs import WaveformRuns, forces_of, tables_of
+from stickslip.sim.engines.waveform.runs import WaveformRuns, tables_of
 from stickslip.sim.engines.waveform.step import take
 from stickslip.sim.kernels.compile import kernel
 from stickslip.sim.numerics.arguments import Floats, Ints
@@ -219,16 +219,14 @@ class _Runs(WaveformRuns):
         self.work = Workspace.of(self.tables, self.modes, self.drives[0].is_forced, n_substeps)
         self.work.next_h[:], common = limits.FIRST_SUBSTEP * steps[:, np.newaxis], Shared(self.work.shared)
         common.atol, common.rtol, common.safety = self.inside
-        _jumped(self.states.clock, self.work.next_h, self.block)
+        self.states.clock[:, limits.JUMPED] = 1.0
 
     def alone(self, k: int) -> Run:
         return _alone(self.engine, self.tasks[k])
 
     def plan(self, k: int) -> loop.Plan:
-        state, drive, next_h = self.state(k), self.drives[k], self.work.next_h[k]
-        begin_piece = partial(_go_on, self.systems[k], drive, state, self.tables[k], next_h, self.inside.atol)
-        rest = _Rest(self, k, state)
-        return super().plan(k)._replace(thresholds=self.engine.thresholds, settles=rest.flow, go_on=begin_piece)
+        rest = _Rest(self, k, self.state(k))
+        return super().plan(k)._replace(thresholds=self.engine.thresholds, settles=rest.flow)
 
 
 class _Rest:
@@ -276,28 +274,6 @@ class _Rest:
 def _smoothed(layer: _Layer, speed: float, widest: float) -> certificates.Smoothed:
     """The friction law for certificates, under a belt of speed |v|; `widest` is the largest band of all."""
     return certificates.Smoothed(speed, layer.delta, layer.hidden, float(layer.band.max()), widest)
-
-
-def _jumped(clock: Floats, next_h: Floats, block: Blocks) -> None:
-    """Note a jump of F: blocks in the layer settle there, or leave it, on the time scale of the layer."""
-    clock[..., limits.JUMPED] = 1.0
-    steep = block.steep
-    is_in = np.abs(block.u0) * steep < block.reach
-    np.minimum(next_h, 1.0 / np.maximum(block.friction * steep, 1.0), out=next_h, where=is_in)
-
-
-def _go_on(system: System, drive: Drive, state: loop.State, table: Floats, next_h: Floats, atol: float) -> None:
-    """Begin a piece: u is continuous, F jumps where the slopes of belt speeds change."""
-    block = Blocks(table[:, : len(state.z)])
-    before = block.force0.copy()
-    block.z0, block.belt = state.z, drive.belt_speed
-    block.drag, block.force0 = forces_of(system, drive, state.z, state.w)
-    jump = np.abs(block.force0 - before)
-    step = first_step(atol, float(jump.max()))
-    state.clock[limits.STEP] = min(state.clock[limits.STEP], step)
-    next_h[:] = np.minimum(next_h, limits.FIRST_SUBSTEP * step)
-    if (jump > limits.JUMP * block.friction).any():
-        _jumped(state.clock, next_h, block)
 
 
 def _law(system: System) -> tuple[NamedTuple, Floats, Floats]:

@@ -80,8 +80,8 @@ class Blocks(Table, nodes=STAGES):
     f: Nodes
     u: Nodes
     z: Nodes
-    kept_f: Nodes  #: of the last macro step, as the next
-    kept_u: Nodes
+    kept_f: Nodes  #: F + g of the last macro step
+    kept_u: Nodes  #: of that, too
     kept_z: Nodes  #: that of which F was
     z_before: Nodes  #: of the last iteration
     z_near: Nodes  #: a z whose product with K is known to double precision

@@ -40,7 +40,7 @@ class WaveformRuns(Several):
 
     def __init__(self, tasks: Sequence[Task], tables: Floats) -> None:
         self.tasks, self.tables = tasks, tables.copy()
-        self.drives = [Drive(task.system, task.t_start, task.t_end, 0) for task in tasks]
+        self.drives = [Drive(task, orders=0) for task in tasks]
         block = self.block = Blocks(self.tables[..., : tasks[0].system.n])
         z, w = np.array([task.z0 for task in tasks]), np.array([task.w0 for task in tasks])
         v = np.array([drive.belt_speed for drive in self.drives])
@@ -50,6 +50,8 @@ class WaveformRuns(Several):
         drag, force = np.array(forces).swapaxes(0, 1)
         block.drag, block.force0 = drag, force
         block.kept_f, block.kept_u, block.kept_z = force[:, np.newaxis], u[:, np.newaxis], z[:, np.newaxis]
+        if self.drives[0].is_forced:
+            block.kept_f += self.drives[0].value()
         block.z_near = np.inf  # no product is known
         self.bounds, self.lengths = np.empty(len(tasks)), np.array([drive.length for drive in self.drives])
 
@@ -77,10 +79,9 @@ class WaveformRuns(Several):
 
     def goal(self, drive: Drive) -> Control[Floats]:
         longest = min(self.longest, np.pi / drive.fastest) if drive.fastest > 0 else self.longest
-        instant = -1.0
-        if drive.is_instant:
-            self.lengths[0], instant = drive.ahead, drive.instant
-        return Control(self.lengths, drive.is_last, instant, self.bounds, longest, self.safety, self.single_rates)
+        return Control(
+            self.lengths, drive.is_last, drive.instant, self.bounds, longest, self.safety, self.single_rates
+        )
 
 
 def tables_of(systems: Sequence[System]) -> Floats:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stickslip.sim.engines import loop
-from stickslip.sim.engines.forcing import value_at
+from stickslip.sim.engines.forcing import BELT, DRAG, JUMP, value_at
 from stickslip.sim.engines.frame import Way, frame
 from stickslip.sim.engines.loop import Events, State
 from stickslip.sim.engines.precheck import Precheck
@@ -43,6 +43,7 @@ from stickslip.sim.numerics.panels import SINGLE_HEIGHT, listed_products, produc
 from stickslip.sim.numerics.radau import NODES, STAGES, TO_POWERS
 from stickslip.sim.numerics.roots import horner
 
+_first_step = inner(limits.first_step)
 _products, _single_products = products(STAGES), products(STAGES, single=True)
 _listed_products = listed_products(STAGES, SINGLE_HEIGHT, single=True)
 
@@ -73,9 +74,13 @@ def _predict_step(model: Model, work: Workspace, clock: Floats, h: float) -> Non
         predict(block, first, common)
     for k in range(len(work.forcing)):
         value_at(model.forcing, clock[loop.TIME] + NODES[k] * h, work.forcing[k])
+        for i in range(n):
+            block.f[k, i] -= work.forcing[k, i]
     copy(work.next_h, work.next_h_before)
     for i in range(n):  # no layer damps the error of a step that leaves one
         work.is_split[i] = clock[limits.JUMPED] > 0.0 and abs(block.u0[i]) * block.steep[i] < block.reach[i]
+        if work.is_split[i]:  # it settles in its layer, or leaves it, on the time scale of the layer
+            work.next_h[i] = min(work.next_h[i], 1.0 / max(block.friction[i] * block.steep[i], 1.0))
         work.begins[i] = -1
 
 
@@ -296,8 +301,8 @@ def _worst(work: Workspace) -> int:
 @inner
 def _accept(work: Workspace, state: State, h: float) -> None:
     """Go to the end of a macro step."""
-    block = blocks(work.table)
-    for i in range(len(work.is_split)):
+    block, n = blocks(work.table), len(work.is_split)
+    for i in range(n):
         block.speed_before[i] = abs(block.u0[i] + block.belt[i])
         block.was_split[i] = 1.0 if work.is_split[i] else 0.0
         if work.is_split[i]:
@@ -311,6 +316,8 @@ def _accept(work: Workspace, state: State, h: float) -> None:
         copy(block.f[k], block.kept_f[k])
         copy(block.u[k], block.kept_u[k])
         copy(block.z_before[k], block.kept_z[k])
+        for i in range(n if len(work.forcing) > 0 else 0):
+            block.kept_f[k, i] += work.forcing[k, i]
 
 
 class Window(NamedTuple):
@@ -348,6 +355,25 @@ def _note(
 def _at(model: Model, work: Workspace, goal: Control[float], state: State, window: Window, t: float) -> None:
     counters = state.counters
     counters[loop.N_SAMPLED] = sample(model, work, 0, Span(t, 1.0, t), state.samples, counters[loop.N_SAMPLED])
+
+
+@inner
+def _enter(model: Model, work: Workspace, state: State) -> None:
+    """u is continuous, and F jumps where the slopes of belt speeds change; F + g is kept in the new frame."""
+    block, table, clock, atol = blocks(work.table), model.forcing.table, state.clock, shared(work.shared).atol[0]
+    most = largest(table[JUMP])
+    step = _first_step(atol, most)
+    clock[limits.STEP] = min(clock[limits.STEP], step)
+    value_at(model.forcing, 0.0, work.forcing[0])
+    for i in range(len(state.z)):
+        block.z0[i], block.belt[i], block.drag[i] = state.z[i], table[BELT, i], table[DRAG, i]
+        block.force0[i] += table[JUMP, i]
+        moved = block.force0[i] + work.forcing[0, i] - block.kept_f[STAGES - 1, i]
+        for k in range(STAGES):
+            block.kept_f[k, i] += moved
+        work.next_h[i] = min(work.next_h[i], limits.FIRST_SUBSTEP * step)
+        if abs(table[JUMP, i]) > limits.JUMP * block.friction[i]:
+            clock[limits.JUMPED] = 1.0
 
 
 @inner
@@ -390,4 +416,4 @@ def _carry(
     return Window(h, True), n_recorded, False
 
 
-take = frame(Way(_blank, _open, _note, _at, _carry))
+take = frame(Way(_blank, _open, _note, _at, _carry, _enter))
