@@ -28,7 +28,6 @@ from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats, Ints
 from stickslip.sim.numerics.arithmetic import ROUNDING
 from stickslip.sim.systems.drive import Harmonic, Piecewise
-from stickslip.sim.systems.system import System
 
 #: The rounding of a time or a phase, over that of a sum.
 _OF_PHASE = np.finfo(np.float64).eps / ROUNDING
@@ -48,9 +47,7 @@ BELT, GAIN, DRAG, JUMP, PHASE = range(3, 8)
 class Pieces(NamedTuple):
     """The pieces that a kernel goes through, in order of time; the last of them are ahead."""
 
-    start: Floats  #: shape (k,), as the next two
-    end: Floats
-    length: Floats  #: of an instant that is not the first piece, by macro steps, the time to the next bend
+    bounds: Floats  #: start, end and length of each, shape (3, k); see `Drive.instant`
     tables: Floats  #: shape (k, 8 + m, n)
     counts: Ints  #: of events, and of ends of all-stuck intervals, that are recorded in each, shape (k, 2)
     n_ahead: Ints  #: how many are ahead, shape (1,)
@@ -73,8 +70,7 @@ class Forcing(NamedTuple):
     def none(cls, *several: int) -> Forcing:
         """No force, on so many runs: arrays of no length, and not None, for which kernels would be compiled again."""
         row, table, tables = (np.empty((*several, *[0] * ndim)) for ndim in (1, 2, 3))
-        none_ahead = np.zeros((*several, 1), np.int64)
-        pieces = Pieces(row, row, row, tables, table.astype(np.int64), none_ahead, row)
+        pieces = Pieces(table, tables, table.astype(np.int64), np.zeros((*several, 1), np.int64), row)
         return cls(table, table, table, table, table, table, table, pieces)
 
 
@@ -195,8 +191,7 @@ class Drive:
         most = max(min(_AT_ONCE, _ROOM // table.size), 2) if self._moves or len(ends) > 1 else 1
         bounds = self._bounds = np.full((3, most), -np.inf)
         tables, counts = np.zeros((most, *table.shape)), np.zeros((most, 2), np.int64)
-        start, end, length = bounds
-        pieces = Pieces(start, end, length, tables, counts, np.zeros(1, np.int64), task.samples.t)
+        pieces = Pieces(bounds, tables, counts, np.zeros(1, np.int64), task.samples.t)
         waves, noise = np.zeros((2 * m, n)), np.zeros((orders, n))
         self.forcing = Forcing(table[:3], amplitude, frequency, table[PHASE:], waves, noise, table, pieces)
         self.belt_speed, self._batches = table[BELT], self._cuts(t_start, ends, most)
@@ -234,7 +229,7 @@ class Drive:
 
     def go_on(self) -> None:
         """Put the next pieces ahead of the kernel, which has come to the end of those before."""
-        self._over.append(self._batch())
+        self._note()
         self._prepare()
 
     def of_user(self, t: float | Floats, z: Floats, w: Floats) -> tuple[Floats, Floats]:
@@ -244,9 +239,9 @@ class Drive:
         """
         if not self._moves:
             return z, w
-        start, end, _, tables = self.forcing.pieces[:4]
-        place = self._place if np.ndim(t) == 0 else np.searchsorted(end, t)
-        s = np.expand_dims(t - start[place], -1)
+        tables = self.forcing.pieces.tables
+        place = self._place if np.ndim(t) == 0 else np.searchsorted(self._bounds[1], t)
+        s = np.expand_dims(t - self._bounds[0, place], -1)
         # of a belt that stops, s may be of any size, and a is 0
         return z + 0.5 * s * (s * tables[place, GAIN]), self._system.belt_speed_at(t) + (w - tables[place, BELT])
 
@@ -264,23 +259,24 @@ class Drive:
             only, last = self._bounds[:2, 0].tolist()
             all_stuck[0] = times(only, last, all_stuck[0])
             return np.zeros(len(s), np.intp), times(only, last, s)
-        start, end, gain, counts = (np.concatenate(part) for part in zip(*self._over, self._batch(), strict=True))
-        of_event, of_stuck = (np.arange(len(start)).repeat(count) for count in counts.T)
+        self._note()
+        (start, end, _), gain, counts = (np.concatenate(part, -1) for part in zip(*self._over, strict=True))
+        of_event, of_stuck = (np.arange(len(start)).repeat(count) for count in counts)
         all_stuck[1] += 0.5 * all_stuck[0] * (all_stuck[0] * gain[of_stuck])
         all_stuck[0] = times(start[of_stuck], end[of_stuck], all_stuck[0])
         return of_event, times(start[of_event], end[of_event], s)
 
-    def _batch(self) -> tuple[NDArray[Any], ...]:
-        """Of the pieces of the kernel: start, end, a summed over the blocks, and counts."""
-        start, end, _, tables, counts = self.forcing.pieces[:5]
-        return start.copy(), end.copy(), tables[:, GAIN].sum(axis=1), counts.copy()
+    def _note(self) -> None:
+        """Keep of the pieces of the kernel their bounds, a summed over the blocks, and counts."""
+        bounds, tables, counts = self.forcing.pieces[:3]
+        self._over.append((bounds.copy(), tables[:, GAIN].sum(axis=1), counts.T.copy()))
 
     def _prepare(self) -> None:
         """Fill in the next pieces; those of an earlier batch that stay before them have no counts."""
         system, pieces, (bounds, self.is_last) = self._system, self.forcing.pieces, next(self._batches)
         k = pieces.n_ahead[0] = len(bounds) - 1
         pieces.counts[:] = 0
-        start, end, length, tables = (part[-k:] for part in pieces[:4])
+        (start, end, length), tables = pieces.bounds[:, -k:], pieces.tables[-k:]
         start[:], end[:] = bounds[:-1], bounds[1:]
         length[:] = end - start
         if self.is_last and self._over and start[0] == end[0]:

@@ -266,15 +266,9 @@ def may_collapse(state: State, slip: int, precheck: Precheck) -> bool:
 @inner
 def enter(forcing: Forcing, state: State, length: float) -> float:
     """Go on to the next piece from the end of one of that length, with the state in its frame; returns its length."""
-    z, w, clock, counters, pieces, table = (
-        state.z,
-        state.w,
-        state.clock,
-        state.counters,
-        forcing.pieces,
-        forcing.table,
-    )
-    here = len(pieces.start) - pieces.n_ahead[0]
+    z, w, clock, counters, table = state.z, state.w, state.clock, state.counters, forcing.table
+    pieces, k = forcing.pieces, counters[N_SAMPLED]
+    here = len(pieces.tables) - pieces.n_ahead[0]
     for i in range(len(z)):
         z[i] += 0.5 * length * (length * table[GAIN, i])
         w[i] -= table[BELT, i]
@@ -283,19 +277,18 @@ def enter(forcing: Forcing, state: State, length: float) -> float:
     for i in range(len(z)):
         w[i] += table[BELT, i]
     pieces.n_ahead[0] -= 1
-    k = counters[N_SAMPLED]
-    while k < len(pieces.samples) and pieces.samples[k] <= pieces.end[here]:
-        state.samples.t[k] = pieces.samples[k] - pieces.start[here]
+    while k < len(pieces.samples) and pieces.samples[k] <= pieces.bounds[1, here]:
+        state.samples.t[k] = pieces.samples[k] - pieces.bounds[0, here]
         k += 1
     clock[TIME] = clock[LACKING] = 0.0
     counters[N_STALLED] = 0
-    return pieces.length[here]
+    return pieces.bounds[2, here]
 
 
 @inner
 def count(pieces: Pieces, n_events: int, n_stuck: int) -> None:
     """Add to the events, and the ends of all-stuck intervals, of the present piece, unless it is all of the run."""
-    here = len(pieces.start) - 1 - pieces.n_ahead[0]
+    here = len(pieces.tables) - 1 - pieces.n_ahead[0]
     if here >= 0:
         pieces.counts[here, 0] += n_events
         pieces.counts[here, 1] += n_stuck
