@@ -363,7 +363,7 @@ def _check_headings(part: _Content, names: Sequence[object]) -> None:
             for k, (label, name) in enumerate(zip(labels, names, strict=True)):
                 if label != name:
                     raise SceneError(
-                        f"system.names: expected {label!r} for block {k}, as {part.name} calls it, got"
+                        f"system.names: expected {label!r} for block {k}, as {Path(part.name).name} calls it, got"
                         f" {shown(name)}; write names in the order of the file, or take its headings away"
                     )
 

@@ -300,7 +300,7 @@ def test_a_measured_series_is_followed_value_by_value(at_once, rng, monkeypatch)
 
 @pytest.mark.parametrize("settings", [EXACT, FINE])
 def test_a_run_to_a_bend_is_the_same_however_many_pieces_are_prepared_at_once(settings, rng, monkeypatch):
-    system, z, w = driven(rng, t_end=20.0)
+    system, z, w = driven(rng)
     cuts = np.unique(np.concatenate([system.belt_speed.times, rng.uniform(0.0, 10.0, 20), [10.0]]))
     cut, runs = system.changed(belt_speed=Piecewise(cuts, system.belt_speed.at(cuts))), []
     for at_once in (2, 7, 1024):
