@@ -12,7 +12,7 @@ from stickslip.sim.numerics.arguments import Floats
 _ORDER = 14
 
 
-@kernel
+@kernel(counts=True)
 def carry(pull: Floats, drags: Floats, slips: NDArray[np.bool_], lengths: Floats, moved: Floats) -> None:
     """Carry deviations (z, w), the columns of `moved`, shape (2n, m), over steps in place, by their Taylor series.
 
