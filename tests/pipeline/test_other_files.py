@@ -60,7 +60,7 @@ FILES = {
 
 def message(file):
     with pytest.raises(SceneError) as refused:
-        look_at_files(file.name, file.parent)
+        look_at_files(file.name, file.parent, {"damping": 0.0})
     return str(refused.value)
 
 
