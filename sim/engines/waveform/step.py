@@ -76,12 +76,12 @@ def _predict_step(model: Model, work: Workspace, clock: Floats, h: float) -> Non
         value_at(model.forcing, clock[loop.TIME] + NODES[k] * h, work.forcing[k])
         for i in range(n):
             block.f[k, i] -= work.forcing[k, i]
-    copy(work.next_h, work.next_h_before)
     for i in range(n):  # no layer damps the error of a step that leaves one
         work.is_split[i] = clock[limits.JUMPED] > 0.0 and abs(block.u0[i]) * block.steep[i] < block.reach[i]
         if work.is_split[i]:  # it settles in its layer, or leaves it, on the time scale of the layer
             work.next_h[i] = min(work.next_h[i], 1.0 / max(block.friction[i] * block.steep[i], 1.0))
         work.begins[i] = -1
+    copy(work.next_h, work.next_h_before)
 
 
 @inner
