@@ -104,9 +104,15 @@ def as_engine(name: str, settings: Mapping[str, Any]) -> Engine:
     if name not in ENGINES:
         raise ValueError(f"engine: expected one of {', '.join(ENGINES)}, got {name!r}")
     _check_names(settings, name)
-    if all(type(value) in (float, int, str) for value in settings.values()):
-        return _engine(ENGINES[name], **settings)
-    return ENGINES[name](**settings)
+    known = {key: _hashable(value) for key, value in settings.items()}
+    return ENGINES[name](**settings) if None in known.values() else _engine(ENGINES[name], **known)
+
+
+def _hashable(value: Any) -> Any:
+    """A number or a word as it is, and an array of a number a block as a tuple; None for another setting."""
+    if type(value) is np.ndarray and value.dtype == np.float64 and value.ndim == 1:
+        return tuple(value.tolist())
+    return value if type(value) in (float, int, str) else None
 
 
 @lru_cache(maxsize=64, typed=True)  # so that a system keeps what follows from it and its engine

@@ -54,6 +54,8 @@ TO_LEGENDRE = np.linalg.inv(legendre.legvander(2.0 * NODES - 1.0, STAGES - 1))
 WEIGHTS = legendre.legval(2.0 * NODES - 1.0, legendre.legint(np.eye(STAGES), lbnd=-1.0, scl=0.5)).T @ TO_LEGENDRE
 INVERSE = np.linalg.inv(WEIGHTS)
 LAST = WEIGHTS[-1].copy()
+#: The coefficients of h y' by Legendre's polynomials, from the changes of y at the nodes.
+OF_RATE = TO_LEGENDRE @ INVERSE
 #: Values at the nodes to powers. The same for values at 0 and the nodes.
 TO_POWERS = _to_powers(NODES)
 ALL_NODES = np.append(0.0, NODES)

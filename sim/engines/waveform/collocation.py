@@ -14,6 +14,7 @@ in one step of that method where it is accurate enough, else in substeps (`subst
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import reduce
 from typing import Any
 
 from stickslip.sim.engines.waveform import control
@@ -34,6 +35,7 @@ from stickslip.sim.numerics.radau import (
     INVERSE,
     LAST,
     NODES,
+    OF_RATE,
     PLACES,
     STAGES,
     TO_BERNSTEIN,
@@ -58,16 +60,24 @@ def _stiff(slope: Lane, law: Law) -> Lane:
     return slope if law is Plain else greater(slope, 0.0)
 
 
+def _largest(values: list[Lane]) -> Lane:
+    """The largest magnitude; it may lose a NaN."""
+    return reduce(greater, map(absolute, values))
+
+
+def _least(values: list[Lane]) -> Lane:
+    """The least magnitude; it may lose a NaN."""
+    return reduce(less, map(absolute, values))
+
+
 def _is_near_peak(block: Any) -> Lane:
     return absolute(block.u0) < block.peak * control.NEAR_PEAK
 
 
 def _passes_peak(block: Any) -> Lane:
     """Whether a block comes to its layer in a step, or is held there by a force that may let it go."""
-    reach, most = block.peak * control.NEAR_PEAK, absolute(block.f[0])
-    for force in block.f[1:]:
-        most = greater(most, absolute(force))
-    may_leave = (absolute(block.u0) < reach) & (most > block.static * control.LOADED)
+    reach = block.peak * control.NEAR_PEAK
+    may_leave = (absolute(block.u0) < reach) & (_largest(block.f) > block.static * control.LOADED)
     comes = (absolute(block.u0) > reach) & (absolute(block.u[-1]) < reach)
     return (may_leave | comes) & (block.fine < 1.0)
 
@@ -110,7 +120,6 @@ def _newton(block: Any, law: Law) -> Lane:
     damping, friction = block.damping, _friction(block, law)
     residual: list[Lane] = []
     matrix: list[list[Lane | float]] = []
-    nearest = absolute(u[0])
     for k in stages:
         phi, slope = friction(u[k] * steep)
         force = damping * u[k] + f[k] + mu * phi
@@ -118,43 +127,33 @@ def _newton(block: Any, law: Law) -> Lane:
         row: list[Lane | float] = [float(a) for a in INVERSE[k]]
         row[k] = h * (damping + mu * steep * slope) + row[k]
         matrix.append(row)
-        nearest = less(nearest, absolute(u[k]))
     _solve(matrix, residual)
-    still = done < 0.5
-    change, size = absolute(residual[0]), absolute(u[0])
-    scale = absolute(f[0])
-    for k in range(1, STAGES):
-        change, size = greater(change, absolute(residual[k])), greater(size, absolute(u[k]))
-        scale = greater(scale, absolute(f[k]))
-    finite = total(residual)
+    still, change, finite = done < 0.5, _largest(residual), total(residual)
     block.u = [where(still, u[k] + residual[k], u[k]) for k in stages]
     x = change * steep
-    out_of_layer = nearest * steep - x > control.OUT_OF_LAYER
+    out_of_layer = _least(u) * steep - x > control.OUT_OF_LAYER
     if shape_of(law) is not None:  # it has curvature there too
         bend = x * block.weakening
         out_of_layer = out_of_layer & (h * mu * bend * bend < _allowed(block, law) * control.SOLVED)
     inside = (x * change < _allowed(block, law) * control.SOLVED) & ((x < control.IN_LAYER) | out_of_layer)
-    rounding = change < (size + absolute(u0) + h * scale) * control.NEWTON_ROUNDING
+    rounding = change < (_largest(u) + absolute(u0) + h * _largest(f)) * control.NEWTON_ROUNDING
     solved = (inside | rounding) & (absolute(finite) < 1e300) | (done > 0.5)
     block.done = where(solved, h * 0.0 + 1.0, 0.0)
     return solved
 
 
-def _error(rate: list[Lane]) -> Lane:
-    """Magnitude of the last Legendre coefficients of a function given at the nodes."""
-    return greater(absolute(dot(TO_LEGENDRE[-1], rate)), absolute(dot(TO_LEGENDRE[-2], rate)) * control.LAST_BUT_ONE)
+def _error(values: list[Lane], to_legendre: Any = TO_LEGENDRE) -> Lane:
+    """Magnitude of the last Legendre coefficients of a function given at the nodes, or, by `OF_RATE`, of h u'."""
+    last, last_but_one = (absolute(dot(to_legendre[k], values)) for k in (-1, -2))
+    return greater(last, last_but_one * control.LAST_BUT_ONE)
 
 
 def _finish(block: Any, law: Law) -> Lane:
     """From u at the nodes: z there, and the error by the nodes. Returns the mask of the accepted blocks."""
     h, u0, z0, belt = block.h, block.u0, block.z0, block.belt
-    stages = range(STAGES)
     u = block.u
-    change_of_u = [x - u0 for x in u]
-    rate = [dot(INVERSE[k], change_of_u) for k in stages]  # times h
-    block.z = [z0 + h * (dot(WEIGHTS[k], u) + belt * float(NODES[k])) for k in stages]
-    error = _error(rate)
-    block.error = error
+    block.z = [z0 + h * (dot(WEIGHTS[k], u) + belt * float(NODES[k])) for k in range(STAGES)]
+    error = block.error = _error([x - u0 for x in u], OF_RATE)
     return (block.done > 0.5) & (error < _allowed(block, law))
 
 
@@ -205,10 +204,7 @@ def _probe(block: Any, law: Law) -> Lane:
         peak = block.peak
         away = less(absolute(absolute(u0) - peak), absolute(absolute(u[-1]) - peak))
         allowed = greater(less(peak * control.OF_PEAK, away * control.OF_DISTANCE), peak * block.at_peak)
-        least = absolute(f[0])
-        for k in range(1, STAGES):
-            least = less(least, absolute(f[k]))
-        may_hold = block.static > least * control.ROUNDING
+        may_hold = block.static > _least(f) * control.ROUNDING
         comes_near = (low < peak * control.NEAR_PEAK) & (high > peak * -control.NEAR_PEAK)
         suspect = suspect | (comes_near & (error > allowed) & may_hold)
     block.suspect = where(suspect, h * 0.0 + 1.0, 0.0)
@@ -222,16 +218,11 @@ def _force(is_change: bool) -> Callable[[Any, Law], None]:
     def formula(block: Any, law: Law) -> None:
         drag, before, product, change = block.drag, block.f, block.product, block.change
         after = [change[k] + (before[k] if is_change else product[k] + drag) for k in range(STAGES)]
-        most = absolute(after[0] - before[0])
-        for k in range(1, STAGES):
-            most = greater(most, absolute(after[k] - before[k]))
+        most = _largest([x - y for x, y in zip(after, before, strict=True)])
         block.f = after
         scale = (greater(block.h, block.lag) if law is SetValued else block.h) / block.tolerance
         if law not in (Plain, SetValued):
-            least = absolute(after[0])
-            for k in range(1, STAGES):
-                least = less(least, absolute(after[k]))
-            stays = control.SWIFT / greater(least - block.static, control.SWIFT)
+            stays = control.SWIFT / greater(_least(after) - block.static, control.SWIFT)
             scale = scale * where(_is_near_peak(block) & (block.fine < 1.0), greater(stays / block.h, 1.0), 1.0)
         tail, noise = _error(after), block.noise
         of_tail = scale if law in (Plain, SetValued) else where(_passes_peak(block), scale * block.of_tail, scale)
@@ -270,7 +261,7 @@ def _slide(block: Any, _: Law) -> Lane:
     sticks = absolute(mode) < 0.5
     u = block.u = [where(sticks, 0.0 * u0, u0 + x) for x in change_of_u]
     block.z = [z0 + h * (dot(WEIGHTS[k], u) + belt * float(NODES[k])) for k in stages]
-    error = _error([dot(INVERSE[k], [x - u0 for x in u]) for k in stages])
+    error = _error([x - u0 for x in u], OF_RATE)
     low, high = _bounds([u0, *u])
     low_force, high_force = _bounds([block.force0, *f])
     block.lag = h * 0.0
