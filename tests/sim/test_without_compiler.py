@@ -51,13 +51,16 @@ def as_python():
 
 @pytest.mark.parametrize("name", RUNS)
 def test_a_run_is_the_same_without_a_compiler(name, as_python):
-    """Steps and events to the last; times and state but for rounding, as machine code fuses products and sums."""
+    """Steps and events to the last; times and state but for rounding, as machine code fuses products and sums.
+
+    That of waves is of products in single precision: a hundredth of their tolerance.
+    """
     stats, block, mode, *numbers = result(name)
     assert as_python[name][0] == stats
     np.testing.assert_array_equal(as_python[name][1], block)
     np.testing.assert_array_equal(as_python[name][2], mode)
     for found, expected in zip(as_python[name][3:], numbers, strict=True):
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7 if name == "waves" else 1e-9)
 
 
 def test_a_scene_is_run_without_a_compiler(tmp_path):
