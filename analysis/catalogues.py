@@ -21,7 +21,16 @@ from stickslip.analysis.models.episodes import (
     Catalogue,
     drift,
 )
-from stickslip.analysis.models.magnitudes import Magnitudes, b_positive, bends, by_least, magnitudes_of, shares_above
+from stickslip.analysis.models.magnitudes import (
+    WIDTH,
+    Magnitudes,
+    b_positive,
+    bends,
+    by_least,
+    magnitudes_of,
+    misfit,
+    shares_between,
+)
 from stickslip.analysis.models.recurrence import Recurrence, recurrence
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio, within
@@ -43,6 +52,10 @@ class Catalogues:
         By unit.
     confidence : float
         Of intervals.
+    declared : tuple of float, optional
+        The range of magnitudes that b is of.
+    rng : numpy.random.Generator
+        For `misfit`.
     method : Label
         What tells it from the other groups.
     """
@@ -50,6 +63,8 @@ class Catalogues:
     group: Group
     runs: dict[int, list[Catalogue]]
     confidence: float
+    declared: tuple[float, float] | None
+    rng: np.random.Generator
     method: Label = field(default_factory=Label)
 
     @property
@@ -96,14 +111,38 @@ class Catalogues:
     @cached_property
     def law(self) -> Magnitudes:
         """What the magnitudes of the systems are like."""
-        return magnitudes_of([self.magnitudes_of(unit) for unit in self.runs], self.confidence)
+        return magnitudes_of(self.by_system, self.confidence, self.declared)
+
+    @cached_property
+    def misfit(self) -> Estimate:
+        """How far the magnitudes lie from their law, of `models.magnitudes.misfit`."""
+        return misfit(self.law, self.confidence, self.rng)
 
     @cached_property
     def in_peak(self) -> tuple[Estimate, Estimate]:
         """The shares of episodes and of their moment that are in the peak; no values without one."""
         if self.law.begins is None:
             return Estimate(), Estimate()
-        return shares_above(self.law.begins, [self.magnitudes_of(unit) for unit in self.runs], self.confidence)
+        return shares_between((self.law.begins, np.inf), self.by_system, self.confidence)
+
+    @cached_property
+    def in_range(self) -> Estimate:
+        """The share of episodes that the law is of; without a value where there is none."""
+        return self._share(self.law.least, self.law.most) if self.law.has_b else Estimate()
+
+    @cached_property
+    def below_range(self) -> Estimate:
+        """The share of episodes that are smaller than those that the law is of."""
+        return self._share(-np.inf, self.law.least) if self.law.has_b else Estimate()
+
+    @cached_property
+    def in_atom(self) -> Estimate:
+        """The share of episodes of the least moment, where that is an atom; else without a value."""
+        return self._share(-np.inf, float(self.magnitudes().min()) + WIDTH / 2) if self.law.atom else Estimate()
+
+    def _share(self, least: float, most: float) -> Estimate:
+        """The share of episodes between two magnitudes."""
+        return shares_between((least, most), self.by_system, self.confidence)[0]
 
     @cached_property
     def recurrence(self) -> Recurrence:
@@ -147,6 +186,11 @@ class Catalogues:
         """Magnitudes of all episodes, run by run."""
         return np.concatenate([run.magnitude for run in self.each()] or [np.zeros(0)])
 
+    @property
+    def by_system(self) -> list[np.ndarray]:
+        """Magnitudes of the episodes of each unit."""
+        return [self.magnitudes_of(unit) for unit in self.runs]
+
     def magnitudes_of(self, unit: int) -> np.ndarray:
         """Magnitudes of the episodes of a unit."""
         return np.concatenate([run.magnitude for run in self.runs[unit]])
@@ -178,7 +222,13 @@ def read(study: Study) -> list[Catalogues]:
         return []
     of_member = {str(name): table for name, table in episodes.groupby("member_id", sort=False)}
     groups = sorted(study.groups, key=fineness)
-    filled = [Catalogues(group, _by_unit(study, group, of_member), study.settings.confidence) for group in groups]
+    confidence, declared = study.settings.confidence, study.settings.magnitude_range
+    filled = [
+        Catalogues(
+            group, _by_unit(study, group, of_member), confidence, declared, study.generator(f"misfit {group.label}")
+        )
+        for group in groups
+    ]
     return [entry for entry in filled if entry.runs]
 
 

@@ -319,7 +319,7 @@ class Study:
         return self.runs.window(member_id, t_end)
 
     def by_threshold(self, member_id: str, t_end: float) -> tuple[list[float], Windows] | None:
-        """The further thresholds of a member and n_stick on [t_burn, t_end] under each, if any; raises as `window`."""
+        """The further thresholds of a member and n_stick on [t_burn, t_end] under each, if any; raises as it does."""
         series = self.data.thresholds.get(member_id)
         if not series:
             return None

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 
 from stickslip.pipeline.design.units import DIMENSIONLESS, Units
 
+LEAST_RANGE = 0.5  # of magnitudes that b is of
+
 
 @dataclass(frozen=True)
 class AnalysisSettings:
@@ -31,6 +33,8 @@ class AnalysisSettings:
         Exits closer than such a gap count as a pair (dimensionless).
     smallest : int
         Smallest size of a cascade that laws of sizes are fitted to.
+    magnitude_range : tuple of float, optional
+        The magnitudes, from the least to the most, that b is of; default: those that a power law is found to hold on.
     margins : mapping of str to float
         The largest difference of two runs that counts as equivalence, by name of ``QUANTITIES`` in
         ``analysis.stats.quantities``.
@@ -59,6 +63,7 @@ class AnalysisSettings:
     map_dt: tuple[float, ...] = ()
     tau: tuple[float, ...] = (0.05, 0.2, 1.0)
     smallest: int = 1
+    magnitude_range: tuple[float, float] | None = None
     margins: Mapping[str, float] = field(default_factory=dict)
     question: tuple[str, ...] = ()
     published: Mapping[str, float] = field(default_factory=dict)
@@ -84,6 +89,13 @@ class AnalysisSettings:
                 raise ValueError(f"{name}: expected finite numbers > 0, got {values!r}")
         if self.smallest < 1:
             raise ValueError(f"smallest: expected an integer >= 1, got {self.smallest!r}")
+        if self.magnitude_range is not None:
+            least, most = self.magnitude_range
+            if not (math.isfinite(least) and math.isfinite(most) and most - least >= LEAST_RANGE):
+                raise ValueError(
+                    f"magnitude_range: expected two magnitudes, the second by {LEAST_RANGE} or more the larger,"
+                    f" got {self.magnitude_range!r}"
+                )
         if self.resamples < 2:
             raise ValueError(f"resamples: expected an integer >= 2, got {self.resamples!r}; 200 is a usual choice")
         if not 0.5 <= self.confidence <= 0.999999:  # near 1 the quantiles of an interval are infinite

@@ -21,10 +21,10 @@ class Code(Enum):
         3,
         "A damped oscillator misses the slow spectrum (deviance {deviance} on {dof} degrees of freedom): Q is rough.",
     )
-    UNCERTIFIED = 2, "{n} of {of} runs were sliding when they ended; it is not proved that no block sticks again."
+    UNCERTIFIED = 2, "{n} of {of} runs are sliding so far: it is not proved that no block sticks again."
     WITHOUT = 2, "{n} of {of} runs have no {what} and are left out there: {why}."
     WITHHELD = 2, "{what} is not given at {n} of {of} points: {why}."
-    TEMPORARY = 2, "In {n} of {of} runs no block sticks at the end, but sliding is unstable there."
+    TEMPORARY = 2, "{n} of {of} runs are sliding so far, but unstable: a block sticks again later."
     UNDECIDED = 2, "{n} of {of} runs are undecided; the column attractor_reason says why."
     FEW = 3, "Only {n} {units}: intervals are wide."
     OVERLAP = (

@@ -332,6 +332,8 @@ class Law:
         The predicate of what is `Fit.CLOSE`; by default "nearly", and the predicate.
     called : str
         What the parameter is called beside the subject; by default the name of its quantity.
+    scope : Level, optional
+        The share of the things that the law is of, where it is not of all; `things` are these in the plural.
     """
 
     subject: str
@@ -341,17 +343,21 @@ class Law:
     departure: Level | None = None
     nearly: str = ""
     called: str = ""
+    scope: Level | None = None
+    things: str = ""
 
 
 @dataclass(frozen=True)
 class Parts:
     """A value as the sum of its parts, the last of which is the one that is asked about.
 
-    `subject` is what the parts raise or lower, where the whole is an excess of it; by default the whole.
+    `rest` is the sum of the other parts. `subject` is what the parts raise or lower, where the whole is an excess of
+    it; by default the whole.
     """
 
     whole: Level
     parts: tuple[Level, ...]
+    rest: Estimate
     subject: str = ""
 
 
@@ -425,7 +431,7 @@ class Threshold:
 
 @dataclass(frozen=True)
 class Regime:
-    """Settings at which all of some things do the same, or do several things.
+    """Settings at which all of some things do the same, or do the same several things.
 
     Attributes
     ----------
@@ -434,9 +440,9 @@ class Regime:
     predicates : tuple of str
         Verb phrases in the plural, one for each outcome: "slide steadily".
     n, of : int
-        How many things have a known outcome there, and how many there are.
+        How many things have the first outcome there, and how many there are.
     share : Estimate
-        Of one outcome: the share of such things that have it; without a value where several occur.
+        Of the first outcome: the share of such things that have it; without an interval of few units.
     where : Place
         Which settings: "belt_speed = 5 to 7".
     """
@@ -578,8 +584,8 @@ def levels(finding: Finding) -> list[Level]:
             second = " with ".join(change.second + unit for change, unit in zip(keys, units, strict=True))
             comparison = Comparison(f"{key} = {first}", difference)
             return [Level(quantity, after, Place.key(key, second) + where, comparison, basis)]
-        case Law(parameter=parameter, departure=departure):
-            return [parameter] if departure is None else [parameter, departure]
+        case Law(parameter=parameter, departure=departure, scope=scope):
+            return [level for level in (parameter, scope, departure) if level is not None]
         case Parts(whole, parts):
             return [whole, *parts]
         case Alike(quantity, value, among, where, basis):
@@ -588,13 +594,11 @@ def levels(finding: Finding) -> list[Level]:
         case Threshold(subject, is_end, key, where=where, basis=basis):
             quantity = Quantity("threshold", f"where {subject} {'ends' if is_end else 'begins'}")
             return [Level(quantity, Estimate(), Place.key(key, finding.stretch) + where, basis=basis)]
-        case Regime(things, (predicate,), _, _, share, where, basis):
-            return [Level(_share("regime", things, predicate), share, where, basis=basis)]
+        case Regime(things, predicates, _, _, share, where, basis):
+            return [Level(_share("regime", things, predicates[0]), share, where, basis=basis)]
         case Attracting(attractors, key, where=where, basis=basis):
             quantity = Quantity("attracting", f"where {' and '.join(attractors)} attract")
             return [Level(quantity, Estimate(), Place.key(key, finding.stretch) + where, basis=basis), *finding.ends]
-        case Regime():
-            return []  # what some do has shares of its own
         case Decided(_, reason):
             return levels(reason)
         case Outcomes() | Lack():  # of which contrasts outcomes are is said by findings of their own

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from stickslip.analysis.findings.finding import (
@@ -37,10 +38,100 @@ from stickslip.analysis.findings.numbers import bare, decimals, is_exact, number
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.stats.estimates import Estimate
 
+MOST_WORDS = 25  # of a first sentence; signs and numbers count
+
 
 def sentence(finding: Finding) -> str:
-    """A finding as one sentence."""
-    return f"{capital(signs(clause(finding)))}."
+    """A finding as a sentence of at most `MOST_WORDS` words, and what does not fit as others."""
+    texts: list[str] = []
+    for texts in _forms(finding):
+        if len(texts[0].split()) <= MOST_WORDS:
+            break
+    return " ".join(f"{capital(signs(text))}." for text in texts)
+
+
+def _forms(finding: Finding) -> Iterator[list[str]]:
+    """A finding as clauses for a sentence each: in one, with its setting apart, and with the levels of a change."""
+    yield _apart(clause(finding))
+    if isinstance(finding, Outcomes):
+        compared = [f"compared: {finding.scope}"] * bool(finding.scope)
+        yield [*_apart(clause(replace(finding, scope=""))), *compared]
+        names = (finding.different, finding.equal, finding.undecided, finding.others)
+        different, equal, undecided, others = (_counted(settings) for settings in names)
+        counted = replace(finding, scope="", different=different, equal=equal, undecided=undecided, others=others)
+        settings = [f"settings: {', '.join(group)}" for group in names if len(group) > 1]
+        yield [*_apart(clause(counted)), *compared, *settings]
+        if finding.largest is not None:
+            all_different = replace(counted, largest=None, different=_counted(finding.different))
+            yield [*_apart(clause(all_different)), *compared, *settings, clause(finding.largest)]
+        return
+    where = place_of(finding)
+    setting = [f"setting: {where}"] * bool(where)
+    bare_finding = _anywhere(finding)
+    yield [*_apart(clause(bare_finding)), *setting]
+    yield [*_apart(_in_brief(bare_finding)), *setting]
+
+
+def _apart(text: str) -> list[str]:
+    """The first clauses of a text, as many as one sentence holds, and the others."""
+    first, *others = re.split(r"; (?![^(]*\))", text)  # none in brackets
+    while others and len(f"{first} {others[0]}".split()) <= MOST_WORDS:
+        first = f"{first}; {others.pop(0)}"
+    return [first, *others]
+
+
+def place_of(finding: Finding) -> Place:
+    """Where a finding holds."""
+    match finding:
+        case Law():
+            return finding.parameter.where
+        case Parts():
+            return finding.whole.where
+        case Decided():
+            return place_of(finding.finding)
+        case Outcomes() | Lack():
+            return EVERYWHERE
+    return finding.where
+
+
+def _anywhere(finding: Finding) -> Finding:
+    """A finding without where it holds."""
+    match finding:
+        case Law():
+            return replace(finding, parameter=replace(finding.parameter, where=EVERYWHERE))
+        case Parts():
+            return replace(finding, whole=replace(finding.whole, where=EVERYWHERE))
+        case Decided(truth, reason) if not isinstance(bare_reason := _anywhere(reason), Decided):
+            return Decided(truth, bare_reason)
+        case Outcomes() | Lack() | Decided():
+            return finding
+    return replace(finding, where=EVERYWHERE)
+
+
+def _in_brief(finding: Finding) -> str:
+    """As `clause`; of a change how large it is, and then from where to where."""
+    match finding:
+        case Decided(truth, reason):
+            return f"{truth.value}: {_in_brief(reason)}"
+        case Level(comparison=Comparison() as comparison) | Share(comparison=Comparison() as comparison):
+            compared = _compared(comparison, finding.quantity if isinstance(finding, Level) else None)
+            if compared.startswith(", "):
+                return f"{clause(replace(finding, comparison=None))}; it is {compared[2:]}"
+        case Law(scope=Level() as scope, things=things) if (share := scope.estimate.value) is not None:
+            return f"{clause(replace(finding, scope=None))}; the law is of {_rounded(share)} of {things}"
+        case Change(keys=(key, *others)) if others:
+            along_with = listed([_goes(other) for other in others])
+            return f"{_in_brief(replace(finding, keys=(key,)))}; with it {along_with}"
+        case Change(quantity, difference=difference, turn=None):
+            along = f"as {_along(finding)}{finding.where.tail}"
+            match difference.verdict:
+                case Verdict.MORE | Verdict.LESS:
+                    verb = "rises" if difference.verdict is Verdict.MORE else "falls"
+                    return f"{quantity.name} {verb} {_by(finding)} {along}; it {verb} {_from_to(finding)}"
+                case Verdict.OPEN | Verdict.OPEN_AMONG_MANY:
+                    brief = f"no change of the {quantity.name} is shown {along}"
+                    return f"{brief}; it {_open(finding)})"
+    return clause(finding)
 
 
 def clause(finding: Finding) -> str:
@@ -102,17 +193,19 @@ def based_on(basis: Basis | None) -> str:
 
 
 def _share(share: Share) -> str:
-    is_alone = share.basis is not None and share.basis.n == 1
-    if share.estimate.value in (0.0, 1.0) and (is_alone or (share.n is not None and share.comparison is None)):
-        which = "all" if share.estimate.value else "none of the"
-        n = f" {share.n:,}" if share.n is not None and share.n > 1 else ""
-        bracket = f" ({plural(1, share.basis.unit)}, no interval)" if is_alone and share.basis is not None else ""
-        return f"{which}{n} {share.things} {share.predicate}{share.where.tail}{bracket}{_compared(share.comparison)}"
-    words = f"{with_interval(share.estimate, Form.SHARE)} of {share.things} {share.predicate}{share.where.tail}"
+    is_whole = share.estimate.value in (0.0, 1.0)
+    n = f" {share.n:,}" if is_whole and share.n is not None and share.n > 1 else ""
+    if is_whole and share.basis is not None and share.basis.n == 1:
+        which, bracket = (
+            "all" if share.estimate.value else "none of the",
+            f"({plural(1, share.basis.unit)}, no interval)",
+        )
+        return f"{which}{n} {share.things} {share.predicate}{share.where.tail} {bracket}{_compared(share.comparison)}"
+    words = f"{with_interval(share.estimate, Form.SHARE)} of{n} {share.things} {share.predicate}{share.where.tail}"
     if share.comparison is None or share.comparison.difference.verdict is not Verdict.OPEN:
         return words + _compared(share.comparison)
     difference, reference = share.comparison.difference, share.comparison.other
-    return f"{words}, consistent with {reference}: difference {_signed(difference, Form.SHARE)}"
+    return f"{words}, consistent with {reference}; the difference is {_signed(difference, Form.SHARE)}"
 
 
 def _level(level: Level) -> str:
@@ -139,7 +232,7 @@ def _in_clause(level: Level) -> str:
         return _value(level.quantity, level.estimate)
     reference, difference = level.comparison.other, level.comparison.difference
     if difference.verdict is Verdict.EQUAL:
-        return f"the same as for {reference} within {margin(difference, level.quantity.form)}"
+        return f"{_within(difference, level.quantity.form)} of that for {reference}"
     if difference.verdict not in (Verdict.MORE, Verdict.LESS):
         return ""
     if (times := ratio(difference)) is not None:
@@ -163,7 +256,7 @@ def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -
         case Verdict.LESS:
             return f", {size(difference, form)}{_of(difference, quantity)} {less} {reference}"
         case Verdict.EQUAL:
-            return f", equal to {reference} within {margin(difference, form)}"
+            return f", {_within(difference, form)} of {reference}"
         case Verdict.SAME:
             return f", the same as {reference} in every run"
         case Verdict.OPEN:
@@ -190,7 +283,7 @@ def ratio(difference: Difference) -> str | None:
 
 
 def difference_in_words(difference: Difference, form: Form = Form.NUMBER) -> tuple[str, str]:
-    """A difference as the cell of a table, and what it comes to: "+0.9% (+0.6 to +1.3%)", "equal within 5%"."""
+    """A difference as the cell of a table, and what it comes to: "+0.9% (+0.6 to +1.3%)", "within 5%"."""
     verdict, estimate = difference.verdict, difference.estimate
     if verdict is Verdict.SAME:
         return "none in any run", ""
@@ -198,7 +291,7 @@ def difference_in_words(difference: Difference, form: Form = Form.NUMBER) -> tup
         return "unknown" if verdict is Verdict.UNJUDGED else interval(difference, form), ""
     text = _signed(difference, form)
     if verdict is Verdict.EQUAL:
-        return text, f"equal within {margin(difference, form)}"
+        return text, f"within {margin(difference, form)}"
     return text, "not significant among so many" * (verdict is Verdict.OPEN_AMONG_MANY)
 
 
@@ -222,6 +315,12 @@ def interval(difference: Difference, form: Form = Form.NUMBER) -> str:
     assert high is not None
     unit = form_of(difference, form)
     return span(low, high, unit, sign=True) + _AFTER[unit]
+
+
+def _within(difference: Difference, form: Form) -> str:
+    """That a difference is less than its margin, with its interval, which may lie on one side of zero."""
+    unit = form_of(difference, form)
+    return f"within {margin(difference, form)} ({interval(difference, form).removesuffix(_AFTER[unit])})"
 
 
 def margin(difference: Difference, form: Form = Form.NUMBER) -> str:
@@ -262,8 +361,7 @@ def _change(change: Change) -> str:
         case Verdict.LESS:
             return f"{quantity.name} falls {_from_to(change)}, {_by(change)}, {along}"
         case Verdict.EQUAL:
-            within = margin(difference, quantity.form)
-            return f"{quantity.name} stays within {within} ({interval(difference, quantity.form)}) {along}"
+            return f"{quantity.name} stays {_within(difference, quantity.form)} {along}"
         case Verdict.SAME:
             return f"{quantity.name} is the same in every run {along}"
         case Verdict.OPEN:
@@ -278,26 +376,27 @@ def _change(change: Change) -> str:
 
 def _turning(change: Change, turn: Turn, along: str) -> str:
     """A change that is not one way all along."""
-    name, (start, end), unit = change.quantity.name, _levels(change), _in(change.quantity)
+    name, (start, end) = change.quantity.name, _levels(change)
+    unit = _in(change.quantity)
     there = f"{with_interval(turn.estimate, change.quantity.form)}{unit} near {turn.near}"
     match turn.course:
         case Course.MINIMUM:
-            return f"{name} falls from {start} to a minimum of {there}, and rises to {end}, {along}"
+            return f"{name} has a minimum of {there}; it falls from {start} and rises to {end}{unit} {along}"
         case Course.MAXIMUM:
-            return f"{name} rises from {start} to a maximum of {there}, and falls to {end}, {along}"
+            return f"{name} has a maximum of {there}; it rises from {start} and falls to {end}{unit} {along}"
         case Course.NO_TREND:
-            return f"{name} changes without a trend, {_from_to(change)}, {along}"
+            return f"{name} changes without a trend {along}; it goes {_from_to(change)}"
 
 
 def _along(change: Change) -> str:
     """What goes from where to where; of keys that are swept together, each."""
-    head, *tails = (key.said for key in change.keys)
-    return listed(
-        [
-            f"{head.key} goes from {head.first} to {head.second}{_in(head)}",
-            *(f"{key.key} from {key.first} to {key.second}{_in(key)}" for key in tails),
-        ]
-    )
+    head, *tails = change.keys
+    return listed([_goes(head), *(_goes(key, "") for key in tails)])
+
+
+def _goes(key: KeyChange, verb: str = " goes") -> str:
+    said = key.said
+    return f"{said.key}{verb} from {said.first} to {said.second}{_in(said)}"
 
 
 def _open(change: Change) -> str:
@@ -337,7 +436,7 @@ def _levels(change: Change) -> tuple[str, str]:
 
 def _lifetime(lifetime: Lifetime) -> str:
     if lifetime.estimate.value is None:
-        share = "all" if lifetime.share_left == 1.0 else f"{number(lifetime.share_left, Form.SHARE)} of"
+        share = f"{number(lifetime.share_left, Form.SHARE)} of"
         where = Place.key("t", f"{lifetime.horizon:g}{_in(lifetime.quantity)}") + lifetime.where
         return f"{share} {lifetime.things} {lifetime.predicate}{where.tail}"
     name = lifetime.quantity.name + lifetime.where.tail
@@ -350,12 +449,14 @@ def _law(law: Law) -> str:
     quantity = level.quantity
     name, value = law.called or quantity.name, with_interval(level.estimate, quantity.form)
     parameter = f"{name} {value}{_compared(level.comparison, quantity)}"
+    share = None if law.scope is None else law.scope.estimate.value
+    scope = "" if share is None else f" ({_rounded(share)} of {law.things})"
     match law.fit:
         case Fit.HOLDS:
-            return f"{level.where.head}{law.subject} {law.predicate}: {parameter}"
+            return f"{level.where.head}{law.subject} {law.predicate}{scope}: {parameter}"
         case Fit.CLOSE:
             predicate = law.nearly or f"nearly {law.predicate}"
-            return f"{level.where.head}{law.subject} {predicate}: {parameter}"
+            return f"{level.where.head}{law.subject} {predicate}{scope}: {parameter}"
         case Fit.FAILS:
             far = "" if law.departure is None else f" ({_level(replace(law.departure, where=EVERYWHERE))})"
             return f"{level.where.head}{law.subject} do not {law.predicate}{far}"
@@ -363,27 +464,26 @@ def _law(law: Law) -> str:
             return f"whether {law.subject}{level.where.tail} {law.predicate} is open; {_level(level)}"
 
 
+def _rounded(share: float) -> str:
+    """A share without its interval: "8.3%"."""
+    return number(share, Form.SHARE, int(share < 0.995))
+
+
 def _parts(sum_of: Parts) -> str:
-    """What the last part does; the others cancel if their sum is less than each and than the error of the last."""
+    """What the last part does, and the others together."""
     total, *smaller, largest = sum_of.whole, *sum_of.parts
-    form, places = total.quantity.form, decimals(total.estimate, total.quantity.form)
+    form = total.quantity.form
     name, subject = largest.quantity.name, f"{sum_of.subject or total.quantity.name}{total.where.tail}"
     value, low, high = largest.estimate.value, largest.estimate.low, largest.estimate.high
     assert value is not None
-    error = 0.0 if low is None or high is None else (high - low) / 2
     if low is not None and high is not None and low <= 0.0 <= high:
         words = f"no effect of {name} on the {subject} is shown ({span(low, high, form, sign=True)})"
     else:
         amount = with_interval(_without_sign(largest.estimate), form)
         words = f"{name} {'raises' if value > 0.0 else 'lowers'} the {subject} by {amount}"
-    values = {level.quantity.name: level.estimate.value for level in smaller if level.estimate.value is not None}
-    if not values:
-        return words
-    texts = [(label, number(level, form, places, sign=True)) for label, level in values.items()]
-    if abs(sum(values.values())) < min(error, *map(abs, values.values())):
-        return f"{words}; {listed([f'{label} ({text})' for label, text in texts])} cancel"
-    (leader, text), *tail = texts
-    return f"{words}; {listed([f'{leader} contributes {text}', *(f'{label} {text}' for label, text in tail)])}"
+    others = [level.quantity.name for level in smaller]
+    verb = f"{'together' * (len(others) > 1)} contribute{'s' * (len(others) == 1)}".strip()
+    return f"{words}; {listed(others)} {verb} {with_interval(sum_of.rest, form, sign=True)}"
 
 
 def _outcomes(outcomes: Outcomes) -> str:
@@ -394,11 +494,11 @@ def _outcomes(outcomes: Outcomes) -> str:
     if outcomes.different and largest is not None and (distance := _larger(largest, reference)):
         words.append(f"{outcomes.at_largest} gives {distance}")
         if outcomes.others:
-            words.append(f"{listed(outcomes.others)} also differ{'s' * (len(outcomes.others) == 1)}")
+            words.append(f"{listed(outcomes.others)} also differ{_s(outcomes.others)}")
     elif outcomes.different:
-        words.append(f"{listed(outcomes.different)} differ{'s' * (len(outcomes.different) == 1)} from {reference}")
+        words.append(f"{listed(outcomes.different)} differ{_s(outcomes.different)} from {reference}")
     if outcomes.equal:
-        words.append(f"{listed(outcomes.equal)} agree{'s' * (len(outcomes.equal) == 1)} with {reference}{scope}")
+        words.append(f"{listed(outcomes.equal)} agree{_s(outcomes.equal)} with {reference}{scope}")
     if outcomes.undecided:
         undecided = listed(outcomes.undecided, "or")
         if largest is None or largest.basis is None or largest.comparison is None:
@@ -413,6 +513,16 @@ def _outcomes(outcomes: Outcomes) -> str:
     if distance and outcomes.undecided and outcomes.at_largest not in ("", *outcomes.undecided):
         distance += f", for {outcomes.at_largest}"
     return "; ".join(words) + distance
+
+
+def _s(settings: Sequence[str]) -> str:
+    """The ending of the verb of some settings."""
+    return "s" if len(settings) == 1 and not settings[0].endswith("settings") else ""
+
+
+def _counted(settings: tuple[str, ...]) -> tuple[str, ...]:
+    """Settings as their number, if they are several."""
+    return settings if len(settings) < 2 else (f"{len(settings)} settings",)
 
 
 def _larger(level: Level, other: str) -> str:
@@ -460,25 +570,28 @@ def _signed(difference: Difference, form: Form) -> str:
 
 
 def _regime(regime: Regime) -> str:
-    head, things, (verb, *predicates) = regime.where.head, regime.things, regime.predicates
-    if predicates:
-        groups = [f"some {things} {verb}", *(f"some {predicate}" for predicate in predicates[:-1])]
-        return f"{head}{listed([*groups, f'others {predicates[-1]}'])}"
-    if regime.n < regime.of:
-        return f"{head}all {regime.n:,} decided {things} (of {regime.of:,}) {verb}"
-    return f"{head}{f'all {regime.n:,} ' * (regime.n > 1)}{things} {verb}"
+    head, things, share, (verb, *others) = regime.where.head, regime.things, regime.share, regime.predicates
+    if regime.of == 1:
+        return f"{head}{things} {verb}"
+    amount = with_interval(share, Form.SHARE) if share.low is not None else f"{regime.n:,}"
+    rest = f"; the others {listed(others, 'or')}" if others else ""
+    return f"{head}{amount} of {regime.of:,} {things} {verb}{rest}"
 
 
 def _attracting(attracting: Attracting) -> str:
     names = attracting.attractors
     verb = {1: "attracts", 2: "both attract"}.get(len(names), "all attract")
     place = Place.key(attracting.key, attracting.stretch) + attracting.where
-    ends = ((attracting.low_by, "below"), (attracting.high_by, "above"))
+    ends = ((attracting.low_by, "lower"), (attracting.high_by, "upper"))
     refined = [(bound_in_words(by, attracting.horizon), side) for by, side in ends if by is not Bound.SETTING]
     if len({by for by, _ in refined}) == 1 and len(refined) == 2:
-        bounds = f", bounded by {refined[0][0]}"
+        bounds = f"; both ends are known from {refined[0][0]}"
     else:
-        bounds = f", bounded {listed([f'by {by} {side}' for by, side in refined])}" if refined else ""
+        texts = [
+            f"the {side} {verb} {by}"
+            for (by, side), verb in zip(refined, ("end is known from", "from"), strict=False)
+        ]
+        bounds = f"; {', '.join(texts)}" if texts else ""
     return f"{listed(names)} {verb}{place.tail}{bounds}"
 
 

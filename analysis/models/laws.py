@@ -61,7 +61,7 @@ def largest_gap(pairs: Pairs, confidence: float, rng: np.random.Generator) -> Di
         If too few systems have values by both, or all values are the same.
     """
     sorted_pairs = [(np.sort(a), np.sort(b)) for a, b in pairs if len(a) and len(b)]
-    if not flips.suffice(len(sorted_pairs), confidence):
+    if not sorted_pairs:
         raise Undefined(FEW_MATRICES)
     pooled = np.sort(np.concatenate([x for pair in sorted_pairs for x in pair]))
     edges = np.unique(pooled[np.arange(POINTS) * len(pooled) // POINTS])
@@ -70,10 +70,29 @@ def largest_gap(pairs: Pairs, confidence: float, rng: np.random.Generator) -> Di
         raise Undefined("one value")
     weights = np.array([len(a) * len(b) / (len(a) + len(b)) for a, b in sorted_pairs])
     gaps = np.array([_below(b, edges) - _below(a, edges) for a, b in sorted_pairs])
-    n, weights = len(sorted_pairs), weights[:, None] / weights.sum()
-    shares = weights * gaps
-    observed = shares.sum(axis=0)
-    off = np.sqrt(n / (n - 1)) * weights * (gaps - observed)
+    weights /= weights.sum()
+    return distance(weights[:, None] * gaps, weights, confidence, rng)
+
+
+def distance(shares: np.ndarray, weights: np.ndarray, confidence: float, rng: np.random.Generator) -> Difference:
+    """Largest of some differences of distribution functions, each a sum over systems; the interval of `largest_gap`.
+
+    Parameters
+    ----------
+    shares : ndarray, shape (G, K)
+        What each system adds to each difference; of either sign with equal chance where there is none.
+    weights : ndarray, shape (G,)
+        The part of each system in a difference that all systems have; they add to 1.
+
+    Raises
+    ------
+    Undefined
+        If there are too few systems.
+    """
+    n, observed = len(weights), shares.sum(axis=0)
+    if not flips.suffice(n, confidence):
+        raise Undefined(FEW_MATRICES)
+    off = np.sqrt(n / (n - 1)) * (shares - weights[:, None] * observed)
     signs, p_floor = flips.patterns(n, rng), flips.floor(n)
     swapped = np.abs(signs @ shares).max(axis=1)
     p_different, gap = flips.p_value(swapped, p_floor), float(swapped[0])

@@ -7,12 +7,14 @@ catalogue is complete, so no event is missing at the small end: a power law begi
 1. A **peak** of large events: the density on M falls and then rises again. Shown if the likelihood that some window
    is emptier than ones of its width below and above it outweighs equality by `RISE`, counts being as dispersed as
    between systems. The peak begins in the middle of the emptiest such window; what is above it is in no fit.
-2. The **range**: from the least magnitude at which the distance D of Kolmogorov and Smirnov is one that chance gives,
-   D sqrt(n) < `BY_CHANCE` (A. Deluca and A. Corral, Acta Geophys. 61 (2013) 1351), to the largest event below the
-   peak. It spans a `DECADE` and `FEWEST` events at least; without one there is no power law. An atom of equal moments
-   at the foot, of single blocks, is left out.
-3. The **law**: m^-b on that range, times exp(-m / m_c) where the 99% interval of 1 / m_c is above 0. Vuong's ratio,
-   the mean of the log likelihood over that of a log-normal law or an exponential, is an estimate over systems.
+2. The **range**: from the least magnitude at which the distance D of Kolmogorov and Smirnov is small, D < `SMALL`, or
+   one that chance gives, D sqrt(n) < `BY_CHANCE` (A. Deluca and A. Corral, Acta Geophys. 61 (2013) 1351), to the
+   largest event below the peak. Chance alone would shorten the range as events become more. It spans a `DECADE` and
+   `FEWEST` events at least; without one there is no power law. An atom of equal moments at the foot, of single
+   blocks, is left out. A declared range is taken as it is, so that b of two catalogues is of the same magnitudes.
+3. The **law**: m^-b on that range, times exp(-m / m_c) where the 99% interval of 1 / m_c is above 0, and the range is
+   not declared. Vuong's ratio, the mean of the log likelihood over that of a log-normal law or an exponential, is an
+   estimate over systems. How well the law fits is said by D with its interval, `misfit`.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from stickslip.analysis.models.laws import distance
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio, within
 from stickslip.analysis.stats.families import Family, Fit, log_shares, maximise, parameter
@@ -39,6 +42,7 @@ WINDOWS = (5, 10, 20, 40)  # widths of windows, in classes
 STEP = 5  # classes between ends of the range that are tried
 _TURN, _NEWTON = 1e-3, 6  # of b, for a derivative; steps
 BY_CHANCE = 0.9  # D sqrt(n), which 92 to 98% of planted catalogues fall below
+SMALL = 0.02  # D of a law that fits, however many events there are
 TESTS = 5  # by which laws are told from each other: each has that part of the chance to be wrong
 
 
@@ -48,6 +52,7 @@ class Picture(StrEnum):
     POWER = "power law"
     CUT_OFF = "power law with a cut-off"
     PEAK = "power law with a peak of large events"
+    DECLARED = "slope on the declared range"
     NONE = "no power law"
     OPEN = "open"
 
@@ -72,8 +77,6 @@ class Magnitudes:
     b : Estimate
     cut_off : Estimate
         log10 of m_c; no value where it is not shown to be finite.
-    gap : float or None
-        Distance of Kolmogorov and Smirnov from the law.
     ratios : dict of str to Estimate
         Vuong's ratio of the law over another, in nats an event.
     counts : ndarray, shape (G, K)
@@ -89,15 +92,14 @@ class Magnitudes:
     atom: float = 0.0
     b: Estimate = field(default_factory=Estimate)
     cut_off: Estimate = field(default_factory=Estimate)
-    gap: float | None = None
     ratios: Mapping[str, Estimate] = field(default_factory=dict)
     counts: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     fit: Fit | None = None
 
     @property
     def has_b(self) -> bool:
-        """Whether the magnitudes have a power law, so that there is a b."""
-        return self.picture in (Picture.POWER, Picture.CUT_OFF, Picture.PEAK)
+        """Whether there is a b: the magnitudes have a power law, or a range is declared."""
+        return self.picture in (Picture.POWER, Picture.CUT_OFF, Picture.PEAK, Picture.DECLARED)
 
     @property
     def law(self) -> int:
@@ -133,8 +135,13 @@ def laws(least: float, mean: float) -> tuple[Family, Family, Family, Family]:
     )
 
 
-def magnitudes_of(systems: Sequence[np.ndarray], confidence: float) -> Magnitudes:
-    """The picture of the magnitudes of some systems, shape (m_g,) each, by the three steps above."""
+def magnitudes_of(
+    systems: Sequence[np.ndarray], confidence: float, declared: tuple[float, float] | None = None
+) -> Magnitudes:
+    """The picture of the magnitudes of some systems, shape (m_g,) each, by the three steps above.
+
+    `declared` is the range of magnitudes on which b is wanted; by default it is found.
+    """
     pooled = np.concatenate([*systems]) if len(systems) else np.zeros(0)
     if len(systems) < enough.LEAST_MATRICES or len(pooled) < FEWEST:
         return Magnitudes(Picture.OPEN, "too few systems or events")
@@ -144,15 +151,35 @@ def magnitudes_of(systems: Sequence[np.ndarray], confidence: float) -> Magnitude
     total = counts.sum(axis=0)
     middle = _peak(counts)
     begins = None if middle is None else start + WIDTH * middle
+    if declared is not None:
+        return replace(_declared(systems, declared, confidence), begins=begins, atom=atom)
     # up to the largest event: given that, the others follow the law below it
     top = int(np.flatnonzero(total if middle is None else total[:middle])[-1])
-    best = _range(total[:top], start)
-    if best is None:
+    first = _range(total[:top], start)
+    if first is None:
         why = "their moments span less than a decade" if top * WIDTH < DECADE else "it fits no range of a decade"
         return Magnitudes(Picture.NONE, why, begins=begins, atom=atom)
-    first, gap = best
-    magnitudes = _judged(counts[:, first:top], start + WIDTH * first, gap, begins, confidence)
+    magnitudes = _judged(counts[:, first:top], start + WIDTH * first, begins, confidence)
     return replace(magnitudes, atom=atom)
+
+
+def _declared(systems: Sequence[np.ndarray], limits: tuple[float, float], confidence: float) -> Magnitudes:
+    """b of the law without a cut-off on a range that is declared."""
+    counts = _within(systems, limits).astype(np.float64)
+    try:
+        fit = _fitted(counts.sum(axis=0), limits[0], 1)
+    except Undefined:
+        return Magnitudes(Picture.OPEN, "too few events in the declared range")
+    n, b = int(counts.sum()), parameter(fit, 0, counts, confidence)
+    if n < FEWEST or b.low is None:
+        return Magnitudes(Picture.OPEN, "too few events in the declared range")
+    return Magnitudes(Picture.DECLARED, "", *limits, n_fitted=n, b=b, counts=counts, fit=fit)
+
+
+def _within(systems: Sequence[np.ndarray], limits: tuple[float, float]) -> np.ndarray:
+    """Number of magnitudes in the classes of a range, of each system, shape (G, K)."""
+    least, most = limits
+    return np.array([in_classes(values, least, round((most - least) / WIDTH)) for values in systems])
 
 
 def in_classes(magnitudes: np.ndarray, least: float, n_classes: int) -> np.ndarray:
@@ -203,8 +230,8 @@ def _nats(n: np.ndarray) -> np.ndarray:
     return n * np.log(np.maximum(n, 1.0))
 
 
-def _range(total: np.ndarray, start: float) -> tuple[int, float] | None:
-    """The first class of the range of the law with a cut-off, and its distance of Kolmogorov and Smirnov; or None."""
+def _range(total: np.ndarray, start: float) -> int | None:
+    """The first class of the range of the law with a cut-off; or None."""
     last = len(total) - int(DECADE / WIDTH)
     for first in (*range(min(STEP, last)), *range(STEP, last + 1, STEP)):
         counts = total[first:]
@@ -212,8 +239,8 @@ def _range(total: np.ndarray, start: float) -> tuple[int, float] | None:
             break
         with suppress(Undefined):
             gap = _gap(_fitted(counts, start + WIDTH * first, 0), counts)
-            if gap * np.sqrt(counts.sum()) < BY_CHANCE:
-                return first, gap
+            if gap < max(SMALL, BY_CHANCE / np.sqrt(counts.sum())):
+                return first
     return None
 
 
@@ -227,7 +254,7 @@ def _gap(fit: Fit, counts: np.ndarray) -> float:
     return float(np.abs(np.cumsum(counts) / counts.sum() - np.cumsum(fit.shares())).max())
 
 
-def _judged(counts: np.ndarray, least: float, gap: float, begins: float | None, confidence: float) -> Magnitudes:
+def _judged(counts: np.ndarray, least: float, begins: float | None, confidence: float) -> Magnitudes:
     """The picture of a range, by the intervals of the law's cut-off and exponent, and of its ratios."""
     total = counts.sum(axis=0)
     fit = _fitted(total, least, 0)
@@ -239,7 +266,6 @@ def _judged(counts: np.ndarray, least: float, gap: float, begins: float | None, 
     if cut_off.value is None:
         # by the same interval as the name: a law chosen at 95% covers b in 56% of the catalogues in which it is wrong
         fit = _fitted(total, least, 1)
-        gap = _gap(fit, total)
     b = parameter(fit, 0, counts, confidence)
     ratios = {}
     for law in (2, 3):
@@ -249,10 +275,8 @@ def _judged(counts: np.ndarray, least: float, gap: float, begins: float | None, 
             rows = np.column_stack([counts @ more, counts.sum(axis=1)])
             ratios[other.family.name] = over_matrices(ratio, rows, strict)
     picture, why = _named(begins, b, cut_off, decay, ratios)
-    return Magnitudes(
-        picture, why, least, least + WIDTH * len(total), begins, int(total.sum()), b=b, cut_off=cut_off, gap=gap,
-        ratios=ratios, counts=counts, fit=fit,
-    )  # fmt: skip
+    most, n = least + WIDTH * len(total), int(total.sum())
+    return Magnitudes(picture, why, least, most, begins, n, 0.0, b, cut_off, ratios, counts, fit)
 
 
 def _named(
@@ -303,8 +327,7 @@ def b_rows(magnitudes: Magnitudes, systems: Sequence[np.ndarray], limits: tuple[
     """
     least, counts = magnitudes.least, magnitudes.counts
     if limits is not None:
-        least, most = limits
-        counts = np.array([in_classes(values, least, round((most - least) / WIDTH)) for values in systems])
+        least, counts = limits[0], _within(systems, limits)
     if counts.sum() < FEWEST:
         raise Undefined("too few events")
     fit = _fitted(counts.sum(axis=0).astype(np.float64), least, 1)
@@ -387,11 +410,31 @@ def _mean_rise(fit: Fit, b: float) -> float:
     return 2 * apart  # of half of all pairs
 
 
-def shares_above(begins: float, systems: Sequence[np.ndarray], confidence: float) -> tuple[Estimate, Estimate]:
-    """The share of events, and of their moment, from a magnitude on, over systems."""
+def misfit(magnitudes: Magnitudes, confidence: float, rng: np.random.Generator) -> Estimate:
+    """Distance of Kolmogorov and Smirnov between the magnitudes of the range and their law, over systems.
+
+    A system adds to it by its own magnitudes, and by how they move the law. `rng` is for `stats.flips`.
+    """
+    fit, counts = magnitudes.fit, magnitudes.counts
+    if fit is None or not magnitudes.has_b:
+        return Estimate(reason=magnitudes.why)
+    scores, weights = fit.scores(), counts.sum(axis=1) / counts.sum()
+    moved = counts / counts.sum() @ np.linalg.solve(fit.information(), scores.T).T
+    slopes = np.cumsum(fit.shares()[:, None] * scores, axis=0)  # of the law's distribution function
+    shares = np.cumsum(counts / counts.sum() - weights[:, None] * fit.shares(), axis=1) - moved @ slopes.T
+    try:
+        return distance(shares, weights, confidence, rng).size
+    except Undefined as why:
+        return Estimate(reason=str(why))
+
+
+def shares_between(
+    limits: tuple[float, float], systems: Sequence[np.ndarray], confidence: float
+) -> tuple[Estimate, Estimate]:
+    """The share of events, and of their moment, from one magnitude up to another, over systems."""
     of_events, of_moment = [], []
     for values in systems:
-        moments, is_large = 10.0**values, values >= begins
+        moments, is_large = 10.0**values, (values >= limits[0]) & (values < limits[1])
         of_events.append((np.count_nonzero(is_large), len(values)))
         of_moment.append((moments[is_large].sum(), moments.sum()))
     events, moment = (

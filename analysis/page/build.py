@@ -38,7 +38,7 @@ CALLED = {
     "matrices": "systems",
     "members": "runs",
     "finished": "reached t_end",
-    "quiet": "sliding, not certified",
+    "quiet": "sliding so far (not unstable)",
 }
 #: How many of what a group has.
 COUNTS: Mapping[str, Callable[[Group], int | None]] = {
@@ -237,10 +237,10 @@ def _provenance(
         "Findings: report/findings.json. Tables: report/*.parquet. Figures: report/figures/.",
     ]
     table = groups.dropna(axis="columns", how="all")
-    alike = [name for name in table if name not in COUNTS and len({*table[name]}) == 1]
-    if len(groups) > 1 and alike:
+    alike = [name for name in table if name not in ("group", *COUNTS) and len({*table[name]}) == 1]
+    if alike:
         shared = ", ".join(f"{name} = {text(table[name].iloc[0])}" for name in alike)
-        notes.insert(0, f"All settings share {shared}.")
+        notes.insert(0, f"{'All settings share' if len(groups) > 1 else 'The setting has'} {shared}.")
         table = table.drop(columns=alike)
     return Section(
         "made",

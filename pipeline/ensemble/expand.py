@@ -21,8 +21,9 @@ from stickslip.pipeline.ensemble.member import Change, Member, Method, Neighbour
 from stickslip.pipeline.records.record import Sharing
 from stickslip.pipeline.records.refine import Refine
 from stickslip.pipeline.scene.scene import Scene, parse_scene
+from stickslip.pipeline.scene.source import REALISATION
 from stickslip.pipeline.scene.system_table import QUANTITIES, ForceTable
-from stickslip.pipeline.scene.systems import REALISATION, SystemFile, SystemFunction
+from stickslip.pipeline.scene.systems import SystemFile, SystemFunction
 from stickslip.sim.systems.couplings import READINGS
 from stickslip.sim.systems.terms import OF_BLOCKS
 

@@ -16,6 +16,8 @@ from stickslip.pipeline.errors import SceneError, remedy, shortened
 _MAX_KEYS = 1000
 #: Files of systems at most, each with a table of its own in a scene that is kept.
 MAX_FILES = 10_000
+#: The number of a realisation: what a file says, or what a function is given that takes it.
+REALISATION = "realisation"
 #: Bytes and lines of a scene file at most, which are read in a second or two.
 MAX_SOURCE, _MAX_LINES = 4_000_000, 100_000
 #: Parts of a dotted key at most: the time to read one grows with the square of their number.

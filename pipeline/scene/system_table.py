@@ -34,6 +34,7 @@ from stickslip.pipeline.design.values import (
 )
 from stickslip.pipeline.own.function import PATTERN
 from stickslip.pipeline.scene.quantity import AnyNumber, Key, course
+from stickslip.pipeline.scene.source import REALISATION
 from stickslip.pipeline.scene.toml import (
     SEVERAL,
     SINGLE,
@@ -547,11 +548,15 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
         if not self.files:
             raise ValueError("files: expected what `load_scene` and the command write here, found nothing; use these")
         reference, names_by_digest = next(iter(self.files.values())), dict[str, str]()
+        sizes = sorted({file.n for file in self.files.values()})
         if not self.n:
-            object.__setattr__(self, "n", distinct(tuple({file.n for file in self.files.values()})))
+            object.__setattr__(self, "n", distinct(tuple(sizes)))
+        if {*self.n} != {*sizes}:
+            raise ValueError(
+                f"n: expected the numbers of blocks of the files, {sizes}, got {list(self.n)}; leave n out"
+            )
+        realisations = dict[object, str]()
         for name, file in self.files.items():
-            if file.n not in self.n:
-                raise ValueError(f"n: expected that of {name}, {file.n}, got {list(self.n)}; write `n = {file.n}`")
             written_keys = {key for key in self.model_fields_set if getattr(self, key) is not None}
             for array in OF_BLOCKS:
                 keys = {array, "rho", "rayleigh"} if array == "damping" else {array}
@@ -568,11 +573,12 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
                 raise ValueError(
                     f"path: expected the same numbers in each file, got one without `{odd}`; add it there"
                 )
-        unmatched = set(self.n) - {file.n for file in self.files.values()}
-        if unmatched:
-            raise ValueError(
-                f"n: expected the numbers of blocks of the files, got {min(unmatched)}, which no file has; remove it"
-            )
+            twin = realisations.setdefault((file.n, *sorted(file.parameters.items())), name)
+            if twin != name and REALISATION in file.parameters:  # they would count as one system
+                raise ValueError(
+                    "path: expected a `realisation` of its own in each file with the same numbers otherwise, got"
+                    f" {file.parameters[REALISATION]:g} in {twin} and {name}; number them"
+                )
 
     def _function_applies(self) -> None:
         if self.module is None:

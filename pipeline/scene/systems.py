@@ -28,7 +28,7 @@ from stickslip.pipeline.scene.graph_files import graph_of
 from stickslip.pipeline.scene.other_files import OtherKind
 from stickslip.pipeline.scene.readers import FORMATS, reader_of
 from stickslip.pipeline.scene.readers.text import Text
-from stickslip.pipeline.scene.source import MAX_FILES
+from stickslip.pipeline.scene.source import MAX_FILES, REALISATION
 from stickslip.pipeline.scene.system_files import NAMES, arrays_of, series_of
 from stickslip.pipeline.scene.toml import shown
 from stickslip.sim.numerics.arguments import per_block
@@ -40,8 +40,6 @@ from stickslip.sim.systems.terms import OF_BLOCKS
 #: What a file may hold in addition to `stiffness`, each with a number a block.
 BY_BLOCK = (*OF_BLOCKS, "z0", "w0")
 
-#: The number of a realisation: what a file says, or what a function is given that takes it.
-REALISATION = "realisation"
 
 #: What may come from a file each.
 _PARTS = {"stiffness", *BY_BLOCK}

@@ -345,6 +345,10 @@ class AnalysisTable(StrictTable):
         default=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0), description="gaps of pairs of exits", examples=[[0.05]]
     )
     smallest: Count = Field(default=1, description="smallest cascade that the law is fitted to")
+    magnitude_range: tuple[float, float] | None = Field(
+        default=None, description="range of magnitudes that b is of; found in the data if left out",
+        examples=[[-1.0, 0.5]],
+    )  # fmt: skip
     resamples: int = Field(default=200, ge=2, description="most surrogates of a member for what chance gives")
     confidence: Annotated[float, Field(ge=0.5, le=0.999999)] = Field(
         default=0.95, description="level of the intervals"

@@ -174,7 +174,7 @@ class _Loading:
         if mode.any() or run.outcome != "finished":
             raise IntegrationError(
                 f"the event at t = {t!r} does not come to rest within {self.longest:g}, on the belt at rest: block"
-                f" {int(np.argmax(mode != 0))} slips; add damping, or leave load out"
+                f" {int(np.argmax(mode != 0))} slips; damp it, but not beyond critical damping, or leave load out"
             )
         # those that leave at the begin are events of this run, not of their own
         leaves = np.flatnonzero(events.initial_mode if modes is not None else ()).astype(np.int32)

@@ -635,7 +635,7 @@ PLANTED_LAWS = {
 
 # ------------------------------------------------------------------------------------------------ magnitudes
 
-PICTURES = [picture for picture in magnitudes.Picture if picture is not magnitudes.Picture.OPEN]
+PICTURES = [magnitudes.Picture.POWER, magnitudes.Picture.CUT_OFF, magnitudes.Picture.PEAK, magnitudes.Picture.NONE]
 
 
 def planted_catalogue(rng, picture):
@@ -682,7 +682,8 @@ def magnitudes_study(rng, ensembles):
             if rises.value is not None:
                 errors["b-positive"].append((rises, b))
             if law.picture is magnitudes.Picture.PEAK:
-                errors["peak"].append((magnitudes.shares_above(law.begins, systems, CONFIDENCE)[0], in_peak))
+                share, _ = magnitudes.shares_between((law.begins, np.inf), systems, CONFIDENCE)
+                errors["peak"].append((share, in_peak))
         share = n_right / ensembles
         yield Row("magnitudes: named right", picture, np.nan, np.nan, np.nan, share, ensembles)
         for name, estimates in errors.items():

@@ -82,17 +82,18 @@ def said(answered):
 
 def test_shares_and_periods(data, settings):
     answered = fates.answer(Study(data(), settings))
-    n_of = {"sliding": 3, "periodic": 5, "irregular": 1, "undecided": 1}
+    n_of = {"sliding": 3, "periodic": 5, "irregular": 1, "undecided": 1, "others": 2}
     assert {key: round(10 * share.estimate.value) for key, share in shares(answered).items()} == n_of
     for key, share in shares(answered).items():
         np.testing.assert_allclose([share.estimate.low, share.estimate.high], wilson(n_of[key], 10), rtol=1e-9)
         assert share.basis.n == 10
     table = answered.tables["fates"].set_index("outcome")
-    assert table["n_runs"].to_dict() == n_of
+    assert table["n_runs"].to_dict() == {key: n for key, n in n_of.items() if key != "others"}
     assert table["period"].dropna().to_dict() == {"periodic": 6.0}
     assert said(answered) == [
         "50% (24 to 76%) of runs settle onto a limit cycle.",
         "30% (11 to 60%) of runs settle into steady sliding.",
+        "20% (6 to 51%) of runs stay irregular or are undecided.",
     ]
 
 
@@ -110,7 +111,7 @@ def test_the_question_is_of_attractors_where_they_are_recorded(data, settings):
         assert set(fates.answer(Study(other, settings)).tables["fates"]["outcome"]) == {"sustained"}
     study = Study(kept, settings)
     assert fates.QUESTION.leads(study)
-    assert shares(fates.answer(study)).keys() == {*KINDS}
+    assert shares(fates.answer(study)).keys() == {*KINDS, "others"}
     undecided = fates.answer(Study(data(2 * ["undecided"] + 8 * ["rest"], 10 * [None]), settings))
     assert {alert.code: dict(alert.numbers) for alert in undecided.alerts}[Code.UNDECIDED] == {"n": 2, "of": 10}
 
@@ -265,14 +266,14 @@ def swept(planted_runs):
 def test_where_along_a_key_attractors_change(swept, settings):
     answered = fates.answer(Study(swept, settings))
     assert said(answered) == [
-        "At belt_speed = 1 to 7, all 35 starts settle onto a limit cycle.",
-        "At belt_speed = 9 to 12, all 20 starts settle into steady sliding.",
-        "At belt_speed = 1 to 4, all 20 starts settle onto a limit cycle of 1 exit per period.",
+        "At belt_speed = 1 to 7, 100% (57 to 100%) of 35 starts settle onto a limit cycle.",
+        "At belt_speed = 9 to 12, 100% (57 to 100%) of 20 starts settle into steady sliding.",
+        "At belt_speed = 1 to 4, 100% (57 to 100%) of 20 starts settle onto a limit cycle of 1 exit per period.",
     ]
     regimes = [finding for finding in answered.findings if isinstance(finding, Regime)]
     assert (
         sentence(regimes[3])
-        == "At belt_speed = 5 to 7, all 15 starts settle onto a limit cycle of 2 exits per period."
+        == "At belt_speed = 5 to 7, 100% (57 to 100%) of 15 starts settle onto a limit cycle of 2 exits per period."
     )
     for regime in regimes:
         assert regime.share.low == pytest.approx(wilson(5, 5)[0])  # of five starts
@@ -320,9 +321,9 @@ def over_two(planted_runs):
 def test_each_value_of_a_second_key_has_its_regimes_and_the_ends_lead(over_two, settings):
     answered = fates.answer(Study(over_two, settings))
     assert said(answered) == [
-        "At belt_speed = 1, static = 1.2, all 5 starts settle onto a limit cycle.",
-        "At belt_speed = 2 to 5, static = 1.2, all 20 starts settle into steady sliding.",
-        "At belt_speed = 1 to 3, static = 1.6, all 15 starts settle onto a limit cycle.",
+        "At belt_speed = 1, static = 1.2, 100% (57 to 100%) of 5 starts settle onto a limit cycle.",
+        "At belt_speed = 2 to 5, static = 1.2, 100% (57 to 100%) of 20 starts settle into steady sliding.",
+        "At belt_speed = 1 to 3, static = 1.6, 100% (57 to 100%) of 15 starts settle onto a limit cycle.",
     ]
     regimes = [finding for finding in answered.findings if isinstance(finding, Regime)]
     assert [dict(regime.where.parts)["static"] for regime in regimes] == ["1.2", "1.2", "1.6", "1.6", "1.4", "1.4"]
@@ -355,8 +356,8 @@ def test_values_that_differ_in_their_seventh_digit_are_told_apart(planted_runs, 
     ])  # fmt: skip
     answered = fates.answer(Study(data, settings))
     assert said(answered) == [
-        "At belt_speed = 3.210571 and 3.210572, all 10 starts settle onto a limit cycle.",
-        "At belt_speed = 3.210573, all 5 starts settle into steady sliding.",
+        "At belt_speed = 3.210571 and 3.210572, 100% (57 to 100%) of 10 starts settle onto a limit cycle.",
+        "At belt_speed = 3.210573, 100% (57 to 100%) of 5 starts settle into steady sliding.",
     ]
     assert answered.tables["fates"]["of"].tolist() == [5, 5, 5]
 
@@ -398,8 +399,8 @@ def along_belts(planted_runs, columns, matrices=1):
     [
         (
             ENDS,
-            "both attract at belt_speed = 2.5 to 4.1, bounded by linear stability below and by runs to t = 1000"
-            " above.",
+            "both attract at belt_speed = 2.5 to 4.1. The lower end is known from linear stability, the upper from"
+            " runs to t = 1000.",
         ),
         (ENDS[:2], "both attract at belt_speed = 3 to 4."),
     ],

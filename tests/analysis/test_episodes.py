@@ -6,11 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.optimize import brentq
 
 from stickslip.analysis import Study, build, measures
 from stickslip.analysis import catalogue as as_catalogue
 from stickslip.analysis.findings.alerts import Code
 from stickslip.analysis.findings.finding import Change, Fit, KeyChange, Law, Level, Outcomes, Reason, Verdict
+from stickslip.analysis.models import magnitudes
 from stickslip.analysis.models.episodes import (
     CREEP,
     OCCUPANCY,
@@ -145,6 +147,69 @@ def test_rate_and_exponent_are_found(planted_episodes, strict):
     assert (upper["b_high"] > 1.0).all()
 
 
+def law_of(systems, declared=None):
+    return magnitudes.magnitudes_of([np.log10(moments) for moments in systems], 0.95, declared)
+
+
+def test_on_a_declared_range_b_is_of_the_same_magnitudes_whatever_is_above(rng):
+    """A density that bends at m = 10, from b = 0.5 to 1.5; one of two catalogues goes on to larger events."""
+
+    def bent(m, most):
+        below = rng.uniform(size=m) < 0.6
+        steep = (rng.uniform(size=m) * (1 - most**-1.5) + most**-1.5) ** (-1 / 1.5)
+        flat = (1 - rng.uniform(size=m) * (1 - 10**-0.5)) ** -2
+        return np.where(below, flat, 10 * steep)
+
+    short, long = ([bent(m, most) for _ in range(20)] for m, most in ((500, 10.0), (5000, 1000.0)))
+    laws = [law_of(systems, (0.0, 1.0)) for systems in (short, long)]
+    for law in laws:
+        assert (law.picture, law.least, law.most) == (magnitudes.Picture.DECLARED, 0.0, 1.0)
+        assert law.b.low - 0.1 < 0.5 < law.b.high + 0.1
+    found = [law_of(systems) for systems in (short, long)]
+    assert {(law.least, law.most) for law in found} != {(0.0, 1.0)}
+
+
+def test_the_size_of_a_misfit_does_not_depend_on_how_much_is_known(rng):
+    """A mixture of two power laws: its distance from the law that is nearest, by quadrature of the densities."""
+
+    def mixed(m):
+        return np.where(rng.uniform(size=m) < 0.5, *(rng.uniform(size=(2, m)) ** -np.array([[2.0], [0.8]])))
+
+    laws = [law_of([mixed(m) for _ in range(20)], (0.0, 2.0)) for m in (1000, 20000)]
+    few, many = (magnitudes.misfit(law, 0.95, rng) for law in laws)
+    x = np.linspace(0.0, 2.0, 20001)
+    below = np.mean([(1 - 10 ** (-b * x)) for b in (0.5, 1.25)], axis=0)
+    density = np.gradient(below, x)
+    mean = np.trapezoid(density * x, x) / below[-1]
+    b = brentq(lambda b: 1 / (b * np.log(10)) - 2 / (10 ** (2 * b) - 1) - mean, 0.1, 3.0)
+    distance = np.abs(below / below[-1] - (1 - 10 ** (-b * x)) / (1 - 10 ** (-2 * b))).max()
+    assert 0.005 < distance < 0.05
+    for misfit in (few, many):
+        width = misfit.high - misfit.low  # beside it: the chance to miss is far below one in a million
+        assert misfit.low - width <= distance <= misfit.high + width
+    assert many.high - many.low < 0.5 * (few.high - few.low)
+    exact = law_of([rng.uniform(size=2000) ** -1.25 for _ in range(20)], (0.0, 2.0))
+    assert magnitudes.misfit(exact, 0.95, rng).high < 0.02
+
+
+def test_which_episodes_b_is_of_is_said(planted_episodes, settings, rng):
+    data = planted_episodes(EXACT, rate=6.0)
+    is_single = rng.uniform(size=len(data.episodes)) < 0.7
+    table = data.episodes.assign(moment=data.episodes["moment"].where(~is_single, 0.5))
+    answer = asked(replace(data, episodes=table), settings)
+    (law,) = of_kind(answer, Law)
+    shares = {finding.quantity.key: finding.estimate for finding in of_kind(answer, Level)}
+    assert law.scope.estimate.low < 0.3 < law.scope.estimate.high + 0.03
+    assert shares["below_range"].value + law.scope.estimate.value == pytest.approx(1.0, abs=1e-4)
+    assert shares["atom"].low < 0.7 < shares["atom"].high + 0.01
+    assert shares["misfit"].high < 0.1
+    declared = asked(replace(data, episodes=table), replace(settings, magnitude_range=(0.0, 1.0)))
+    b, scope = declared.findings[:2]
+    assert (b.quantity, scope.quantity) == (episodes.B_VALUE, episodes.IN_RANGE)
+    assert str(b.where) == "M = 0.0 to 1.0, as declared"
+    assert b.estimate.low < 1.0 < b.estimate.high + 0.05
+
+
 def test_a_cut_off_and_an_exponential_are_told_from_a_power_law(planted_episodes, strict):
     laws = {
         name: of_kind(asked(planted_episodes(EXACT, rate=6.0, moments=moments, n_matrices=24), strict), Law)[0]
@@ -153,7 +218,7 @@ def test_a_cut_off_and_an_exponential_are_told_from_a_power_law(planted_episodes
             "exponential": lambda rng, m: 1.0 + rng.exponential(20.0, m),
         }.items()
     }
-    assert laws["cut off"].predicate.endswith(" with a cut-off")
+    assert laws["cut off"].predicate.startswith("follow a power law with a cut-off from M = ")
     assert laws["cut off"].parameter.estimate.low < 0.5 < laws["cut off"].parameter.estimate.high
     assert laws["exponential"].fit is Fit.FAILS
     assert laws["exponential"].parameter.estimate.value == pytest.approx(21.0, rel=0.05)

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -39,9 +40,10 @@ from stickslip.analysis.findings.finding import (
 )
 from stickslip.analysis.findings.numbers import limit, number, span, with_interval
 from stickslip.analysis.findings.place import EVERYWHERE, Place
-from stickslip.analysis.findings.words import capital, sentence
+from stickslip.analysis.findings.words import capital, place_of, sentence
 from stickslip.analysis.page.layout import findings_table
 from stickslip.analysis.page.parts import row as row_of
+from stickslip.analysis.questions.runs import settled
 from stickslip.analysis.stats.estimates import Estimate
 
 GAMMA = Quantity("gamma", "decay rate")
@@ -134,13 +136,13 @@ def test_sentences():
     turn = Turn(Course.MINIMUM, Estimate(9.05, 8.85, 9.25), Place.key("kappa", "0.2"))
     turned = Change(LATE, KAPPA, Estimate(16.4), Estimate(10.63), Difference(Estimate(-0.35, -0.4, -0.3)), turn=turn)
     assert sentence(turned) == (
-        "Median lifetime falls from 16.4 to a minimum of 9.05 (8.85 to 9.25) near kappa = 0.2, and rises to 10.6,"
+        "Median lifetime has a minimum of 9.05 (8.85 to 9.25) near kappa = 0.2. It falls from 16.4 and rises to 10.6"
         " as kappa goes from 0.1 to 0.4."
     )
     gone = Change(SHARE, KAPPA, Estimate(0.5), Estimate(0.2), away, Place.key("eps", "0.03"))
     assert sentence(gone) == (
         "Share of runs in motion falls from 50% to 20%, by 30 (20 to 40) percentage points, "
-        "as kappa goes from 0.1 to 0.4 at eps = 0.03."
+        "as kappa goes from 0.1 to 0.4. Setting: eps = 0.03."
     )
     left = Lifetime(LATE, "runs", "still stick and slip", Estimate(), 150.0, 0.75, Place.key("n", "100"))
     assert sentence(left) == "75.0% of runs still stick and slip at t = 150, n = 100."
@@ -148,24 +150,41 @@ def test_sentences():
     assert sentence(basin) == "30.1% (28.8 to 31.4%) of starts settle into steady sliding."
     published = Comparison("the published 30.71%", Difference(Estimate(-0.006, -0.019, 0.007), Scale.ABSOLUTE))
     assert sentence(replace(basin, comparison=published)) == (
-        f"{sentence(basin)[:-1]}, consistent with the published 30.71%:"
-        " difference \u22120.6 (\u22121.9 to +0.7) percentage points."
+        f"{sentence(basin)[:-1]}, consistent with the published 30.71%;"
+        " the difference is \u22120.6 (\u22121.9 to +0.7) percentage points."
     )
     excess = Quantity("excess", "excess", Form.SHARE)
     parts = [
         Level(Quantity(name, name), Estimate(*of))
         for name, of in (("noise", (-0.012,)), ("pull", (0.021, 0.018, 0.024)))
     ]
-    assert sentence(Parts(Level(excess, Estimate(0.009, 0.006, 0.012), Place.key("n", "5")), (*parts,))) == (
-        "Pull raises the excess at n = 5 by 2.10% (1.80 to 2.40%); noise contributes \u22121.20%."
+    rest = Estimate(-0.012, -0.014, -0.010)
+    assert sentence(Parts(Level(excess, Estimate(0.009, 0.006, 0.012), Place.key("n", "5")), (*parts,), rest)) == (
+        "Pull raises the excess at n = 5 by 2.10% (1.80 to 2.40%); noise contributes"
+        " \u22121.20% (\u22121.40 to \u22121.00%)."
     )
     parts[:1] = [Level(Quantity(name, name), Estimate(value)) for name, value in (("noise", -0.012), ("size", 0.013))]
-    assert sentence(Parts(Level(excess, Estimate(0.022, 0.019, 0.025)), (*parts,), "rate")) == (
-        "Pull raises the rate by 2.10% (1.80 to 2.40%); noise (\u22121.20%) and size (+1.30%) cancel."
+    rest = Estimate(0.001, -0.001, 0.003)
+    assert sentence(Parts(Level(excess, Estimate(0.022, 0.019, 0.025)), (*parts,), rest, "rate")) == (
+        "Pull raises the rate by 2.10% (1.80 to 2.40%); noise and size together contribute"
+        " +0.10% (\u22120.10 to +0.30%)."
     )
-    alike = Regime("starts", ("slide",), 5, 5, where=Place.key("v", "1"))
-    assert sentence(alike) == "At v = 1, all 5 starts slide."
-    assert sentence(replace(alike, predicates=("slide", "stick"))) == "At v = 1, some starts slide and others stick."
+    within = Comparison("the exact engine", Difference(Estimate(0.006, 0.004, 0.008), margin=0.01))
+    assert sentence(Level(GAMMA, Estimate(0.7), comparison=within)) == (
+        "Decay rate: 0.700, within 1% (+0.40 to +0.80%) of the exact engine."
+    )
+    span = Level(Quantity("in_range", "share in the range of b", Form.SHARE), Estimate(0.0552))
+    b = Level(Quantity("b", "b-value"), Estimate(0.879, 0.835, 0.924))
+    assert sentence(Law("moments", "follow a power law", b, scope=span, things="episodes")) == (
+        "Moments follow a power law (5.5% of episodes): b-value 0.879 (0.835 to 0.924)."
+    )
+    alike = Regime("starts", ("slide",), 5, 5, Estimate(1.0, 0.57, 1.0), Place.key("v", "1"))
+    assert sentence(alike) == "At v = 1, 100% (57 to 100%) of 5 starts slide."
+    some = replace(alike, predicates=("slide", "stick", "stop"), n=4, share=Estimate(0.8, 0.38, 0.96))
+    assert sentence(some) == "At v = 1, 80% (38 to 96%) of 5 starts slide; the others stick or stop."
+    assert sentence(replace(some, n=2, of=3, share=Estimate(2 / 3))) == (
+        "At v = 1, 2 of 3 starts slide; the others stick or stop."
+    )
     period = Quantity("period", "period of the cycle")
     assert sentence(Alike(period, 3.50812, "from all 8 starts")) == (
         "Period of the cycle: 3.508, the same from all 8 starts."
@@ -201,8 +220,8 @@ def _findings(rng):
     yield (share := Share("sliding", "starts", "settle into steady sliding", estimate, where, comparison, basis))
     yield Lifetime(LATE, "runs", "still stick", estimate, 100.0, 0.2, where, comparison, basis)
     yield Lifetime(LATE, "runs", "still stick", Estimate(), 100.0, 0.7, where, comparison, basis)
-    yield Law("sizes", "fall off exponentially", level, _pick(rng, Fit), level)
-    yield Parts(level, (level, level))
+    yield Law("sizes", "fall off exponentially", level, _pick(rng, Fit), level, scope=level, things="episodes")
+    yield Parts(level, (level, level), estimate)
     yield Share("pairs", "exits", "trigger another", Estimate(high=value), where, basis=basis)
     yield Alike(quantity, value, "from all starts", where, basis)
     yield Outcomes("exact", ("h = 0.1",), ("h = 0.2", "h = 0.4"), (), level)
@@ -236,6 +255,66 @@ def test_every_kind_is_a_sentence_and_rows(rng):
                 assert row.verdict in {"", *Verdict}
                 assert not any(isinstance(cell, float) and np.isnan(cell) for cell in row)
     assert len(kinds) == 13
+
+
+#: What findings of the package are about, and where, the longest among them.
+QUANTITIES = [
+    measure
+    for name in ("measures", "questions.slips.episodes", "questions.slips.cascades", "questions.runs.fates")
+    for measure in vars(import_module(f"stickslip.analysis.{name}")).values()
+    if isinstance(measure, Quantity)
+]
+PLACES = [
+    EVERYWHERE,
+    Place.key("n", "100"),
+    Place(
+        (("n", "100"), ("kappa", "0.2"), ("static", "uniform(1.1, 1.5) friction"), ("", "sigmoid"), ("eps", "0.03"))
+    ),
+]
+
+
+def _of_the_package(rng):
+    """Findings as questions make them, with words of theirs."""
+    quantity, where, difference = _pick(rng, QUANTITIES), _pick(rng, PLACES), _differences(rng)
+    value = rng.uniform(0.01, 1.0)
+    estimate = Estimate(value, value / 2, min(2 * value, 1.0))
+    other = _pick(rng, ["exact", "the tightest tolerance", "independent two-state blocks", "the unchanged systems"])
+    level = Level(quantity, estimate, where, _pick(rng, [None, Comparison(other, difference)]), Basis(20))
+    keys = tuple(KeyChange(key, "0.1", "0.4") for key in ("kappa", "friction")[: rng.integers(1, 3)])
+    kinds = rng.permutation([*settled.PREDICATES.values()])[: rng.integers(1, 4)]
+    predicates = tuple(predicate.format(" at t = 5000") for predicate in kinds)
+    settings = tuple(f"sigmoid with eps = {eps}" for eps in (0.001, 0.01, 0.03, 0.1)[: rng.integers(1, 5)])
+    turn = Turn(_pick(rng, Course), estimate, Place.key("kappa", "0.2"))
+    yield level
+    for way in (None, turn):
+        yield Change(quantity, keys, Estimate(0.3), Estimate(0.41), difference, where, Basis(20), way)
+    yield Share("share", "starts", predicates[0], estimate, where, level.comparison, Basis(20), 5000)
+    yield Regime("starts", predicates, 17, 20, estimate, where, Basis(20))
+    b, scope = Level(Quantity("b", "b-value"), estimate, where), Level(SHARE, estimate)
+    for fit in Fit:
+        predicate = "follow a power law, below a peak, from M = -3.1 to 0.5"
+        yield Law("moments of episodes", predicate, b, fit, scope=scope, things="episodes")
+    parts = tuple(
+        Level(Quantity(name, name), estimate) for name in ("finite size", "each block's own dynamics", "pull")
+    )
+    yield Parts(replace(level, comparison=None), parts, estimate, "decay rate")
+    yield Outcomes(other, settings, (), settings, level, scope="the rate and magnitudes of episodes")
+    yield Outcomes(other, (), settings, (), level, "exact with tol = 0.001", settings[1:])
+    nouns = ("steady sliding", "stick-slip", "rest")[: rng.integers(1, 4)]
+    yield Attracting(
+        nouns, "belt_speed", "4.93", "7.85", _pick(rng, Bound), _pick(rng, Bound), where, Basis(20), "3000"
+    )
+
+
+def test_first_sentences_are_short(rng):
+    """Whatever a question finds: of up to 25 words, and then nothing is lost."""
+    for _ in range(150):
+        for finding in _of_the_package(rng):
+            for said in (finding, *([] if isinstance(finding, Outcomes) else [Decided(_pick(rng, Truth), finding)])):
+                first, *_ = re.split(r"(?<=\.) (?=[A-Z0-9]|n =|b-)", sentence(said))
+                assert len(first.split()) <= 25, first
+                for part in str(place_of(said)).split(", "):
+                    assert part in sentence(said)
 
 
 def test_the_table_of_findings_has_limits_and_differences_in_their_units():

@@ -285,7 +285,7 @@ def test_rate_size_and_b_of_episodes_lead_and_b_only_where_it_holds(recorded, se
     assert list(rows_of(answer, "b of episodes").index) == ["-0.2"], "no trend to where no b holds"
     assert rows_of(answer, "rate of episodes").loc["-0.1", "verdict"] == Verdict.LESS
     leading = [sentence(finding) for finding in answer.findings[: answer.n_lead]]
-    assert re.match(r"b-value of the episodes \(M = 0\.\d to \S+\) goes from 0\.", leading[0])
+    assert re.match(r"No change of the b-value of the episodes \(M = 0\.\d to \S+\) is shown", leading[0])
     assert leading[1].startswith("Rate of episodes falls from 1."), "no change of b is shown"
     lacks = " is not given at {} of 3 points: "
     assert lacks.format(1) + "no power law is shown" in alerts(answer)

@@ -59,7 +59,7 @@ def test_what_was_not_measured_is_not_said_to_be_unknown(rng, planted, settings)
     parted, rate = answer(Study(Data(changed, data.series), settings)).findings
     assert (parted.estimate.value, parted.share_left, rate.reason) == (None, 1.0, Reason.NOT_RUN)
     assert sentence(parted) == (
-        "All copies are still together at t = 1000, n = 200, exact, with constants changed by up to 1%."
+        "100% of copies are still together at t = 1000, n = 200, exact, with constants changed by up to 1%."
     )
     settled = answer(Study(Data(changed.assign(outcome="collapsed"), data.series), settings)).findings
     assert [finding.reason for finding in settled] == [Reason.NOT_RUN, Reason.NO_REFERENCE]

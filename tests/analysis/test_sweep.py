@@ -88,7 +88,7 @@ def test_what_falls_and_rises_again_has_a_minimum(swept, settings):
     data = swept({"belt_speed": BELT}, lambda at, _: -60 * (1 - ((at["belt_speed"] + 0.3) / 0.2) ** 2))
     change = next(finding for finding in changes_of(Study(data, settings)).findings if isinstance(finding, Changed))
     assert (change.quantity.key, change.turn.course) == (measures.MEAN, Course.MINIMUM)
-    assert re.search(r"falls from \S+ to a minimum of .* near \|belt_speed\| = 0.3, and rises to", sentence(change))
+    assert re.search(r"has a minimum of .* near \|belt_speed\| = 0.3. It falls from \S+ and rises", sentence(change))
 
 
 def test_opposite_changes_are_not_the_same(swept, settings):

@@ -66,6 +66,14 @@ def test_a_number_that_files_carry_is_a_key_that_is_swept(tmp_path):
     assert known.groupby("key")["n_first"].max().to_dict() == {"friction": 8, "rewiring": 8}
 
 
+def test_files_that_share_all_their_numbers_are_refused(tmp_path):
+    """They would count as one system."""
+    for k in range(2):
+        np.savez(tmp_path / f"K{k}.npz", stiffness=chain(4, 1.0 + k), rewiring=0.1, realisation=7)
+    with pytest.raises(SceneError, match=r"path: expected a `realisation` of its own .* got 7 in K0.npz and K1.npz"):
+        written(tmp_path)
+
+
 def test_files_without_a_number_of_their_own_are_realisations_too(tmp_path):
     """Equal ones among them: without rewiring all come out the same."""
     for number in range(3):

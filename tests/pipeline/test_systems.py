@@ -285,7 +285,7 @@ BAD = {
     "nan": ({"stiffness": np.full((4, 4), np.nan)}, ["K.npz: stiffness", "finite", "NaN"]),
     "another n": (
         {"stiffness": np.eye(5), "friction": np.ones(5), "z0": np.ones(5)},
-        ["system.n", "that of K.npz, 5", "write `n = 5`"],
+        ["system.n", "of the files, [5], got [4]", "leave n out"],
     ),
     "text": ({"stiffness": np.full((4, 4), "a")}, ["K.npz", "stiffness: expected an array of real numbers", "<U1"]),
     "wholes beyond floats": ({"stiffness": np.diag([1, 2, 3, 2**53 + 1])}, ["K.npz", "stiffness: ", "up to 2^53"]),
@@ -321,7 +321,7 @@ BAD_SCENES = {
     "a key that the file has": ("n = 4", "n = 4\nfriction = 1.0", ["system.friction", "array `friction` of K.npz"]),
     "a start that the file lacks": ("w = {uniform = [-0.3, 0.1]}\ndraws = 2", 'w = "file"', ["start.w", "`w0`"]),
     "a scale of a file": ("n = 4", "n = 4\nkappa = 0.2", ["system.kappa", "K itself", "remove it"]),
-    "more n than files": ("n = 4", "n = [4, 5]", ["system.n", "got 5, which no file has"]),
+    "more n than files": ("n = 4", "n = [4, 5]", ["system.n", "of the files, [4], got [4, 5]; leave n out"]),
 }
 
 
@@ -331,6 +331,15 @@ def test_masses_that_nothing_gives_are_told(more, is_said, tmp_path, arrays, cap
     written(tmp_path, arrays | more)
     assert main(["run", "mine.toml", "--dry-run"]) == 0
     assert ("masses  1, as neither the files nor [system] give any" in capsys.readouterr().out) == is_said
+
+
+def test_where_files_have_several_sizes_the_advice_works(tmp_path, arrays):
+    """Not that of one file after the other."""
+    np.savez(tmp_path / "K-small.npz", stiffness=np.eye(3))
+    scene = SCENE.replace("K.npz", "K*.npz").replace('z = "file"', "z = 0.1")
+    with pytest.raises(SceneError, match=r"system\.n: expected .* of the files, \[3, 4\], got \[4\]; leave n out"):
+        load_scene(written(tmp_path, arrays, scene))
+    assert load_scene(written(tmp_path, arrays, scene.replace("n = 4\n", ""))).system.n == (3, 4)
 
 
 def test_copies_of_a_file_are_refused(tmp_path, arrays):

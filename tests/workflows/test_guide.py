@@ -103,11 +103,15 @@ def test_2_early_ends(ask, kept):
     assert found["reason"].notna().all()
 
 
-def test_3_means(ask, run, kept):
-    found, other = ask(3).set_index(["n", "engine"]), run(3)
+def test_3_means(ask, kept):
+    found, frame = ask(3).set_index(["n", "engine"]), counted(kept)
+    for member_id, (t, counts) in query.series(kept).items():
+        if member_id in frame.index:
+            edges = np.clip(np.append(t, frame.loc[member_id, "t_end"]), 50.0, None)
+            frame.loc[member_id, "mean"] = np.average(counts, weights=np.diff(edges))
+    other = frame.groupby(["n", "engine"])["mean"].agg(["mean", "sem"])
     np.testing.assert_allclose(found["mean_n_stick"], other["mean"], rtol=1e-12)
     np.testing.assert_allclose(found["standard_error"], other["sem"], rtol=1e-9)
-    frame = counted(kept)
     assert found["matrices"].to_dict() == frame.groupby(["n", "engine"]).size().to_dict()
     assert len(frame) < len(unchanged(query.members(kept)))  # some ended early, and are in no mean
     for (n, _), row in found.iterrows():
@@ -163,11 +167,13 @@ def test_7_blocks(ask, kept):
     assert set(found["block"]) <= set(range(60))
 
 
-def test_8_twins(ask, run):
+def test_8_twins(ask, kept):
     found = ask(8)
     np.testing.assert_allclose(found[found["t"] == 0]["growth"], 1.0, rtol=1e-6)
     assert set(found["t"]) == {0.0, 10.0, 20.0, 30.0}
-    growth = np.array([np.log(factors[2]) for name, factors in run(8).items() if "coulomb" in name])
+    sizes = query.members(kept, ["member_id", "twin_size"]).dropna().set_index("member_id")["twin_size"]
+    apart = {name: distance / sizes[name] for name, (_, distance) in query.separations(kept).items() if name in sizes}
+    growth = np.array([np.log(factors[2]) for name, factors in apart.items() if "coulomb" in name])
     assert np.exp(growth.mean()) == pytest.approx(
         found[(found["t"] == 10) & (found["engine"] == "coulomb")]["growth"].iloc[0], rel=1e-9
     )

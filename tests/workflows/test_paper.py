@@ -510,8 +510,8 @@ def test_another_sigmoid_matters_if_it_is_shown_to_move_the_mean_by_more_than_th
     assert judged(**changed(*alike, ends=1))["sigmoid"]["verdict"] == "cannot be told"  # 25% (5 to 70%) run away
     assert judged(**changed(*alike, ends=3))["sigmoid"]["verdict"] == "not reproduced"  # 75% (30 to 95%)
     _, words, verdict = told(**changed(5.0, 5.5, 6.0))["The precise choice of sigmoid typically does not matter"]
-    assert "algebraic: stay in motion" in words
-    assert "arctan: stay in motion, nstick +18%" in words
+    assert "algebraic: still stick and slip" in words
+    assert "arctan: still stick and slip, nstick +18%" in words
     assert verdict == "not reproduced"
 
 

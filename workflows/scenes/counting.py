@@ -60,7 +60,7 @@ from stickslip.analysis.stats.estimates import (
 )
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, bars, forest, panel
 
-EXCESS, VARIANCE, SCALED = r"$\gamma/\ln 2-1$", "$np(1-p)$", r"$np(1-p)\,(\gamma/\ln 2-1)$"  # on the axes
+EXCESS, VARIANCE, SCALED = r"$\gamma/\ln 2-1$", "$nq(1-q)$", r"$nq(1-q)\,(\gamma/\ln 2-1)$"  # on the axes
 #: Largest number of times that a run's blocks are shifted: their rate is known that much better than the run's.
 SHIFTS = 30
 WHAT = "the parts of the decay rate"
@@ -107,7 +107,7 @@ class Counted:
 
     @property
     def variance(self) -> float:
-        """n p (1 - p), where a share p sticks."""
+        """n q (1 - q), where a share q of the blocks sticks."""
         mean = float(ratio(self.rows[:, MEAN].sum(axis=0, keepdims=True))[0])
         return mean * (1 - mean / self.n)
 
@@ -165,7 +165,7 @@ def _picture(groups: Sequence[Counted], lead: Counted, unit: str) -> Picture:
     return Picture(
         partial(by_number, groups),
         "Coupling sets runs apart from time-shifted blocks, and each block's own dynamics time-shifted from "
-        f"two-state blocks. Below: times n p (1 − p), p the share that sticks: finite size is constant.{faint}",
+        f"two-state blocks. Below, times n q (1 − q), q the share that sticks, finite size is constant.{faint}",
     )
 
 
@@ -178,7 +178,7 @@ def _parts(counts: Counted, is_swept: bool, unit: str) -> Parts:
     total, *levels = (
         Level(quantity, counts.estimates[quantity.key], where, basis=basis) for quantity in (WHOLE, *PARTS)
     )
-    return Parts(total, tuple(levels), "decay rate")
+    return Parts(total, tuple(levels), counts.estimates["time_shifted"], "decay rate")
 
 
 def counted(study: Study, group: Group) -> Counted | None:
@@ -300,7 +300,7 @@ def parts(n: int) -> dict[str, Statistic]:
 
 
 def _lines(ax: Axes, groups: Sequence[Counted], scaled: bool) -> None:
-    """The excess of runs and of three nulls against n p (1 - p); times it if `scaled`, which levels finite size.
+    """The excess of runs and of three nulls against n q (1 - q); times it if `scaled`, which levels finite size.
 
     Groups that are not judged are faint.
     """
@@ -330,7 +330,7 @@ def _lines(ax: Axes, groups: Sequence[Counted], scaled: bool) -> None:
 
 @panel(nrows=2, height=3.6, sharex=True)
 def by_number(axes: Sequence[Axes], groups: Sequence[Counted]) -> None:
-    """The excess over ln 2 of the runs and of three nulls at several n; below, times n p (1 - p)."""
+    """The excess over ln 2 of the runs and of three nulls at several n; below, times n q (1 - q)."""
     top, below = axes
     _lines(top, groups, scaled=False)
     _lines(below, groups, scaled=True)

@@ -65,9 +65,9 @@ LOOKS = {
     TORUS: Look("#009E73", "h", "++", "torus"),
     IRREGULAR: Look("#6A3D9A", "X", "xxx", "irregular"),
     ESCAPING: Look("black", "*", "", "growth without limit"),
-    QUIET: Look("#56B4E9", "D", "...", "sliding (not certified)"),
+    QUIET: Look("#56B4E9", "D", "...", "sliding so far"),
     SUSTAINED: Look("#E69F00", "o", "", "sticking and slipping"),
-    LULL: Look("#CC79A7", "v", "xxx", "unstable sliding"),
+    LULL: Look("#CC79A7", "v", "xxx", "sliding so far, unstable"),
     UNMOVED: Look("#D9D9D9", "X", "///", "stuck"),
     UNDECIDED: Look("#D9D9D9", ".", "///", "undecided"),
 }

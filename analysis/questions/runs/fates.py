@@ -35,7 +35,7 @@ from stickslip.analysis.findings.finding import (
     Share,
 )
 from stickslip.analysis.findings.place import EVERYWHERE, Place
-from stickslip.analysis.findings.words import based_on
+from stickslip.analysis.findings.words import based_on, listed
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import SYSTEM_KEYS, noun
 from stickslip.analysis.models.attractors import ESCAPING, PERIODIC, SLIDING, UNDECIDED
@@ -57,6 +57,7 @@ from stickslip.analysis.questions.runs.settled import (
     Grid,
     Outcome,
     Portion,
+    Runs,
     Setting,
     grid_of,
     portions,
@@ -82,8 +83,8 @@ MEAN = Quantity("mean", "mean number of sticking blocks in runs not ended")
 PERIOD = Quantity("period", "period of the cycle", dimension="time")
 METHOD = (
     "A run ends at its last event, if it is certified that no block sticks again, or when its motion has grown"
-    " without limit; survival and medians are Kaplan-Meier estimates. Runs that are sliding, not certified, count as"
-    " ended at their last events, and the upper ends of intervals take them as not ended."
+    " without limit; survival and medians are Kaplan-Meier estimates. Runs that are sliding so far, if not"
+    " unstable, count as ended at their last events, and the upper ends of intervals take them as not ended."
 )
 METHOD_OF_ATTRACTORS = (
     "Each run is followed on from its end: a cycle repeats its events and comes back to its state, steady sliding and"
@@ -197,6 +198,7 @@ def _findings(study: Study, grid: Grid, ends: Sequence[Ends]) -> tuple[list[Find
         for settings in methods.values()
     ]
     is_alike = len(methods) > 1 and all(places == outcomes[0] for places in outcomes)
+    is_alike &= all(len(setting.kinds) < 2 for setting in grid.settings)  # shares differ between methods
     is_one = len({setting.kinds for setting in grid.settings}) == 1 and len(grid.settings[0].kinds) == 1
     reference = {setting.label: setting.kinds for setting in next(iter(methods.values()), [])}
     for k, (method, settings) in enumerate(methods.items()):
@@ -226,8 +228,11 @@ def _outcomes(
     """What the runs of a method do, with the settings: shares where all do the same, else settings by outcome."""
     alike = {setting.kinds for setting in settings}
     if len(settings) == 1 or not grid.axes or (len(alike) == 1 and len(settings[0].kinds) < 2):
-        shares = _shares(study, settings, method)
-        n_lead = 2 if sum(isinstance(share, Share) for share in shares) > 2 else 1  # of two, one says both
+        shares = sorted(_shares(study, settings, method), key=lambda finding: not isinstance(finding, Share))
+        n_shares = sum(isinstance(finding, Share) for finding in shares)
+        n_lead = min(n_shares, MOST_LEADING) if n_shares > 2 else 1  # of two, one says both
+        if n_shares > MOST_LEADING:
+            shares.insert(n_lead - 1, _rest(study, settings, method, n_lead - 1))
         return [(share, settings) for share in shares[:n_lead]], shares[n_lead:]
     top, *lines = grid.lines(settings)[:MOST_LINES]
     statements: list[tuple[Finding, Sequence[Setting]]] = []
@@ -241,11 +246,29 @@ def _outcomes(
     return statements, [share for setting in mixed[:MOST_LINES] for share in _shares(study, [setting], setting.where)]
 
 
-def _shares(study: Study, settings: Sequence[Setting], where: Place) -> list[Finding]:
-    """The share of each outcome at some settings, those with a published one and of most runs first."""
+def _portions(study: Study, settings: Sequence[Setting]) -> tuple[Runs, list[Portion]]:
+    """Runs and their outcomes at some settings, those with a published share and of most runs first."""
     published, runs = study.settings.published, together(settings)
     rows = portions(study, runs, besides=published)
-    rows.sort(key=lambda row: (row.outcome not in published, row.outcome == UNDECIDED, -row.n_runs))
+    return runs, sorted(rows, key=lambda row: (row.outcome not in published, row.outcome == UNDECIDED, -row.n_runs))
+
+
+def _rest(study: Study, settings: Sequence[Setting], where: Place, n_said: int) -> Share:
+    """The share of runs that have none of the first outcomes."""
+    runs, rows = _portions(study, settings)
+    in_first = [(runs.said == row.outcome) & (runs.cycles == (row.cycle or 0)) for row in rows[:n_said]]
+    is_other = ~np.any(in_first, axis=0)
+    share = share_of(is_other, np.zeros(len(is_other)), runs.units, study.settings.confidence)
+    kinds = dict.fromkeys(Outcome(row.outcome) for row in rows[n_said:])
+    basis = Basis(len(np.unique(runs.units)), unit(study, settings))
+    predicate = listed(predicates(study, [*kinds], settings), "or")
+    return Share("others", things(basis), predicate, share, where, None, basis, len(is_other))
+
+
+def _shares(study: Study, settings: Sequence[Setting], where: Place) -> list[Finding]:
+    """The share of each outcome at some settings, in the order of `_portions`."""
+    published = study.settings.published
+    runs, rows = _portions(study, settings)
     n_cycles = sum(row.outcome == PERIODIC for row in rows)
     basis = Basis(len(np.unique(runs.units)), unit(study, settings))
     findings: list[Finding] = []
@@ -333,7 +356,7 @@ def _stability(study: Study, settings: Sequence[Setting]) -> Iterator[Share]:
 
 
 def _means(study: Study, settings: Sequence[Setting]) -> list[Level]:
-    """Mean n_stick of the runs not ended, which include those in unstable sliding."""
+    """Mean n_stick of the runs not ended, which include those whose sliding so far is unstable."""
     groups = [group for setting in settings for group in setting.groups if study.unit != "start"]
     groups.sort(key=lambda group: -int(group.key["n"]))
     means = [(group, group.mean(study.settings.confidence)) for group in groups]
@@ -345,9 +368,9 @@ def _means(study: Study, settings: Sequence[Setting]) -> list[Level]:
 
 
 def _with_lulls(group: Group) -> Place:
-    """A group, with how many of its runs not ended are in unstable sliding, where no block sticks."""
+    """A group, with how many of its runs not ended are sliding so far, but unstable, where no block sticks."""
     n_lull = int(np.sum(group.fates == LULL))
-    lulls = Place.words(f"{n_lull} of {group.n_moving} runs in unstable sliding" * bool(n_lull))
+    lulls = Place.words(f"{n_lull} of {group.n_moving} runs sliding so far, but unstable" * bool(n_lull))
     return Place.of(group.name) + lulls
 
 

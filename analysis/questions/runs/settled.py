@@ -63,9 +63,9 @@ PREDICATES = {
     TORUS: "settle onto a torus",
     IRREGULAR: "stay irregular",
     ESCAPING: "grow without limit",
-    QUIET: "are sliding{} (not certified)",
+    QUIET: "are sliding so far{}",
     SUSTAINED: "still stick and slip{}",
-    LULL: "are in unstable sliding{}",
+    LULL: "are sliding so far{}, but unstable",
     UNMOVED: "are stuck{}",
     UNDECIDED: "are undecided",
 }
@@ -279,18 +279,18 @@ def told_apart(study: Study, runs: Runs) -> Runs:
 
 
 def predicates(study: Study, outcomes: Sequence[Outcome], settings: Sequence[Setting]) -> tuple[str, ...]:
-    """What runs at some settings do, a verb phrase each; what may yet change comes last, and the last says when."""
+    """What runs at some settings do, a verb phrase each; the last that may yet change says when."""
     words = [_words(outcome, settings) for outcome in outcomes]
-    *words_before, last_word = sorted(words, key=lambda word: "{}" in word)
     ends = {setting.t_end for setting in settings}
     when = f" at t = {study.settings.at(ends.pop())}" if len(ends) == 1 else " at their end"
-    return (*(word.format("") for word in words_before), last_word.format(when))
+    last = max((k for k, word in enumerate(words) if "{}" in word), default=0)
+    return tuple(word.format(when if k == last else "") for k, word in enumerate(words))
 
 
 def _words(outcome: Outcome, settings: Sequence[Setting]) -> str:
     if outcome.kind == SLIDING and (n_quiet := sum(setting.runs.n_of(QUIET) for setting in settings)):
         is_partly = any(setting.runs.n_of(SLIDING) for setting in settings)
-        return f"are sliding{{}} ({n_quiet:,} not certified to last)" if is_partly else PREDICATES[QUIET]
+        return f"{PREDICATES[SLIDING]} ({n_quiet:,} sliding so far)" if is_partly else PREDICATES[QUIET]
     exits = f" of {plural(outcome.exits, 'exit')} per period" if outcome.exits else ""
     return PREDICATES[outcome.kind] + exits
 
@@ -400,6 +400,10 @@ def regimes(
     for outcome in in_order:
         alike_stretches = by_outcome[outcome]
         settings = [setting for stretch in alike_stretches for setting in line[stretch]]
+        if len(outcome) > 1 and len(settings) <= MOST_STRETCHES:  # each has a share of its own
+            alone = [(Place.key(axis.name, in_words(setting.at[0])), setting) for setting in settings]
+            rows += [(_regime(study, where + line_place, [setting], outcome), [setting]) for where, setting in alone]
+            continue
         texts = [text for stretch in alike_stretches for text in _span(line[stretch])]
         where = Place.key(axis.name, listed(texts) if axis.x is None else Amount(listed(texts)))
         if len(alike_stretches) > MOST_STRETCHES:
@@ -415,12 +419,17 @@ def _span(line: Sequence[Setting]) -> list[str]:
 
 
 def _regime(study: Study, where: Place, settings: Sequence[Setting], outcomes: Sequence[Outcome]) -> Regime:
-    n_units, level = max(setting.n_units for setting in settings), study.settings.confidence
-    n_runs = sum(len(setting.runs.rows) for setting in settings)
-    n = n_runs - sum(setting.runs.n_of(UNDECIDED) for setting in settings)
-    share = Estimate()
-    if len(outcomes) == 1:  # all settings share their draws, which count once
-        is_bounded = n == n_runs and n_units >= LEAST_UNITS
-        share = Estimate(1.0, wilson(n_units, n_units, level)[0], 1.0) if is_bounded else Estimate(1.0)
+    """What runs do at some settings, with the share that the first outcome has; it is unknown of the undecided."""
+    runs, level = together(settings), study.settings.confidence
+    untold = runs.kinds == UNDECIDED
+    in_order = sorted(outcomes, key=lambda outcome: "{}" in _words(outcome, settings))
+    has = (runs.said == in_order[0].kind) & ((runs.exits == in_order[0].exits) | (in_order[0].exits == 0))
+    n_units = max(setting.n_units for setting in settings)
+    share = Estimate(float(has.mean()))
+    if n_units >= LEAST_UNITS:  # settings that share their draws count once
+        share = share_of(has, untold, runs.units, level)
+        if has.all():
+            share = Estimate(1.0, wilson(n_units, n_units, level)[0], 1.0)
+    words = predicates(study, [*in_order, *[Outcome(UNDECIDED)] * bool(untold.any())], settings)
     basis = Basis(n_units, unit(study, settings))
-    return Regime(things(basis), predicates(study, outcomes, settings), n, n_runs, share, where, basis)
+    return Regime(things(basis), words, int(has.sum()), len(has), share, where, basis)

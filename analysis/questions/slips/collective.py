@@ -38,7 +38,7 @@ _METHOD = (
     f" periods over {CYCLES:g} of a block's own cycles, is shown if its power is more concentrated than in 95% of"
     f" {SURROGATES} such surrogates, and is fitted as a damped oscillator beside a share of the blocks' own power."
     " Up to Q = 1/2 it is overdamped; with Q near 1 the spectrum has a broad peak, and the motion loses phase within"
-    " a period. Numbers of pairs are compared with theirs, adjusted for the number of comparisons."
+    " a period. Slip onsets soon after one are compared with theirs, adjusted for the number of comparisons."
 )
 
 
@@ -114,7 +114,7 @@ def _lacking(motion: Slow, where: Place, settings: AnalysisSettings) -> Lack:
     """Why no slow common motion is shown."""
     what = f"slow common motion{where.tail}"
     if motion.shown is Shown.NONE:
-        return Lack(what, Reason.NOT_SHOWN, f"p = {motion.fit.p:.2g}")
+        return Lack(what, Reason.NOT_SHOWN, f"p-value {motion.fit.p:.2g}")
     needed = f"{motion.needed(settings.t_burn):,.0f} {settings.units.time}".rstrip()
     return Lack(what, Reason.SHORT_WINDOW, f"runs to t = {needed} may suffice")
 
@@ -135,7 +135,7 @@ def _picture(drawn: Mapping[str, Sequence[Band]], motion: Slow, where: Place, un
         partial(spectrum, drawn, units),
         f"At long periods {power} rises above that of time-shifted blocks. {words}; lines through marks: a damped"
         f" oscillator{where.tail}{',' * bool(where)} with Q = {quality} and a deviance of {fit.deviance:.0f} on"
-        f" {fit.dof} degrees of freedom (p = {fit.p_value:.2g}).",
+        f" {fit.dof} degrees of freedom (p-value {fit.p_value:.2g}).",
     )
 
 

@@ -80,13 +80,15 @@ _METHOD = (
     "An episode lasts from all blocks stuck to all stuck again; its size is the number of blocks that slip, its"
     " moment the sum of their slips, its magnitude log10 of that. Methods are compared"
     " on the same systems: a method differs if its rate of episodes (t test) or its distribution of magnitudes"
-    " (permutation test) does, with p-values adjusted for the number of methods (Holm)."
+    " (permutation test) does, with p-values adjusted for the number of methods (Holm). A power law is that of the"
+    " widest range on which the distribution functions of data and law differ by less than 2%, or by chance;"
+    " [analysis] magnitude_range fixes the range, so that b of two datasets compares."
 )
 #: What follows the range of a power law in a sentence.
 BEYOND: Mapping[Kind, str] = {
     Kind.POWER: "",
     Kind.CUT_OFF: " with a cut-off",
-    Kind.PEAK: " with a peak of large events",
+    Kind.PEAK: ", below a peak,",
 }
 #: What is said of each group, in this order.
 WORDS: Mapping[str, Quantity] = {
@@ -102,6 +104,10 @@ WORDS: Mapping[str, Quantity] = {
 }
 _SCOPE = "the rate and magnitudes of episodes"
 _COMPARED = (RATE, SIZE, DURATION, SLIP)
+IN_RANGE = Quantity("in_range", "share of episodes in the range of b", Form.SHARE)
+BELOW = Quantity("below_range", "share of episodes below the range of b", Form.SHARE)
+ATOM = Quantity("atom", "share of episodes with the smallest moment", Form.SHARE)
+MISFIT = Quantity("misfit", "largest difference of distribution functions, data and law", Form.SHARE)
 PEAK = Quantity("peak", "share of episodes in the peak", Form.SHARE)
 PEAK_MOMENT = Quantity("peak_moment", "share of the moment in the peak", Form.SHARE)
 M_CUT = Quantity("cut_off", "magnitude of the cut-off")
@@ -145,10 +151,12 @@ _GROUPS: Columns[Catalogues] = {
     "b": (Estimate, lambda group: group.law.b),
     "b_positive": (Estimate, lambda group: group.b_positive),
     "cut_off": (Estimate, lambda group: group.law.cut_off),
-    "gap": (float, lambda group: group.law.gap),
+    "in_range": (Estimate, lambda group: group.in_range),
+    "below_range": (Estimate, lambda group: group.below_range),
+    "misfit": (Estimate, lambda group: group.misfit),
     "over_log_normal": (Estimate, lambda group: group.law.ratios.get("log-normal", Estimate())),
     "over_exponential": (Estimate, lambda group: group.law.ratios.get("exponential", Estimate())),
-    "atom": (float, lambda group: group.law.atom),
+    "atom": (Estimate, lambda group: group.in_atom),
     "peak_begins": (float, lambda group: group.law.begins),
     "peak": (Estimate, lambda group: group.in_peak[0]),
     "peak_moment": (Estimate, lambda group: group.in_peak[1]),
@@ -255,7 +263,13 @@ def answer(study: Study) -> Answer | None:
         for outcome in _outcomes(reference, settings, pairs, basis)
     ]
     (law, *beside), changes = pictures[0], _changes(leaders, level, basis)
-    findings: list[Finding] = [*outcomes, law, *(changes or beside), _level(lead, RATE, pairs, basis)]
+    findings: list[Finding] = [
+        *outcomes,
+        *changes,
+        law,
+        *(() if changes else beside),
+        _level(lead, RATE, pairs, basis),
+    ]
     findings += [*(beside if changes else ()), *itertools.chain(*pictures[1:])]
     of_lead = (STORED,) if study.data.is_loaded else (STORED, OCCUPANCY)
     findings += _levels(counted, lead, pairs, basis, of_lead)
@@ -399,20 +413,33 @@ def _picture(study: Study, group: Catalogues, where: Place) -> list[Finding]:
     moments = "moments of episodes"
     if law.picture is Kind.OPEN:
         return [Lack(f"the law of moments{where.tail}", Reason.NOT_SHOWN, law.why)]
+    scope = Level(IN_RANGE, group.in_range, where, basis=basis)
+    span = f"M = {law.least:.1f} to {law.most:.1f}"
     if law.picture is Kind.NONE:
         mean = Level(MOMENT, _mean_moment(study, group), where, basis=basis)
         findings: list[Finding] = [
             Law(moments, f"follow a power law, since {law.why}", mean, Fit.FAILS, replace(mean, where=where))
         ]
+    elif law.picture is Kind.DECLARED:
+        declared = where + Place.words(f"{span}, as declared")
+        findings = [replace(level, where=declared) for level in (Level(B_VALUE, law.b, basis=basis), scope)]
     else:
-        predicate = f"follow a power law from M = {law.least:.1f} to {law.most:.1f}{BEYOND[law.picture]}"
-        findings = [Law(moments, predicate, Level(B_VALUE, law.b, where, basis=basis))]
-    if law.begins is not None:
-        large = where + Place.words(f"M \u2265 {law.begins:.2f}")
-        in_peak = zip((PEAK, PEAK_MOMENT), group.in_peak, strict=True)
-        findings += [Level(quantity, estimate, large, basis=basis) for quantity, estimate in in_peak]
-    elif law.picture is Kind.CUT_OFF:
-        findings.append(Level(M_CUT, law.cut_off, where, basis=basis))
+        b, predicate = Level(B_VALUE, law.b, where, basis=basis), f"follow a power law{BEYOND[law.picture]}"
+        findings = [Law(moments, f"{predicate} from {span}", b, scope=scope, things="episodes")]
+    large = where if law.begins is None else where + Place.words(f"M \u2265 {law.begins:.2f}")
+    of_peak, moment_of_peak = group.in_peak
+    findings += [
+        Level(quantity, estimate, place, basis=basis)
+        for quantity, estimate, place in (
+            (PEAK_MOMENT, moment_of_peak, large),
+            (M_CUT, law.cut_off if law.picture is Kind.CUT_OFF else Estimate(), where),
+            (ATOM, group.in_atom, where),
+            (PEAK, of_peak, large),
+            (BELOW, group.below_range, where),
+            (MISFIT, group.misfit, where),
+        )
+        if estimate.value is not None
+    ]
     findings += _times_between(group, where, basis)
     if law.has_b and group.b_positive.value is not None:
         findings.append(Level(B_POSITIVE, group.b_positive, where, basis=basis))

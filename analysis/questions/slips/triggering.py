@@ -23,7 +23,7 @@ SOON = 0.2  # in mean gaps between exits: an exit that another one triggers come
 
 
 class Pairs(NamedTuple):
-    """Pairs of exits closer than tau in a group: their number in a unit, and over that of time-shifted blocks."""
+    """Pairs of exits closer than tau in a group: per exit, and over those of time-shifted blocks."""
 
     group: str
     tau: float
@@ -34,7 +34,7 @@ class Pairs(NamedTuple):
 
     def level(self, where: Place, basis: Basis | None) -> Level:
         """The finding, where it has an interval."""
-        quantity = Quantity("pairs", f"number of pairs of slip onsets within {self.tau:g}")
+        quantity = Quantity("pairs", f"mean number of slip onsets within {self.tau:g} after one")
         return Level(quantity, self.observed, where, Comparison("time-shifted blocks", self.difference), basis)
 
 
@@ -56,14 +56,13 @@ class Exits(NamedTuple):
     ----------
     pairs : list of Pairs
         By tau, ascending; judged together.
-    n_exits, gap : float
-        Mean number of exits of a unit, and mean time between exits.
+    gap : float
+        Mean time between exits.
     """
 
     group: Group
     pairs: list[Pairs]
     n_units: int
-    n_exits: float
     gap: float
 
 
@@ -82,7 +81,7 @@ def triggered(exits: Exits, where: Place, unit: str) -> list[Share]:
     chosen = larger or next((pairs for pairs in judged if pairs.tau >= SOON * exits.gap), None)
     if chosen is None:
         return []
-    per_exit = chosen.independent / exits.n_exits
+    per_exit = chosen.independent
     value, low, high = chosen.ratio.value, chosen.ratio.low, chosen.ratio.high
     assert value is not None
     assert low is not None
@@ -105,28 +104,28 @@ def exits_of(study: Study, group: Group) -> Exits | None:
     n_columns = 2 * len(taus)
     sums = study.sums(group, partial(_of_run, taus), n_columns + 1)
     n_exits, n_runs = sums[:, n_columns:].sum(axis=0)
-    rows = sums[sums[:, -1] > 0, :n_columns].reshape(-1, len(taus), 2)
-    if len(rows) < 2:
+    sums = sums[sums[:, -1] > 0]
+    if len(sums) < 2:
         return None
-    return Exits(
-        group, compare(group.label, rows, taus, confidence), len(rows), n_exits / len(rows), n_runs * span / n_exits
-    )
+    pairs = compare(group.label, sums[:, :n_columns].reshape(-1, len(taus), 2), sums[:, n_columns], taus, confidence)
+    return Exits(group, pairs, len(sums), n_runs * span / n_exits)
 
 
-def compare(label: str, rows: np.ndarray, taus: Sequence[float], confidence: float) -> list[Pairs]:
-    """Pairs beside those of time-shifted blocks, from `measure` of units, shape (G, len(taus), 2)."""
+def compare(label: str, rows: np.ndarray, exits: np.ndarray, taus: Sequence[float], confidence: float) -> list[Pairs]:
+    """Pairs beside those of time-shifted blocks, from `measure` of units, shape (G, K, 2), and their exits, (G,)."""
     by_tau = (rows[:, k] for k in range(len(taus)))
     effects = [over_null(lambda sums: sums[:, 0], columns[:, :1], columns[:, 1:], confidence) for columns in by_tau]
     pairs = []
     for k, (effect, p_adjusted) in enumerate(zip(effects, together(effect.p for effect in effects), strict=True)):
-        observed = over_matrices(ratio, np.column_stack([rows[:, k, 0], np.ones(len(rows))]), confidence)
+        observed = over_matrices(ratio, np.column_stack([rows[:, k, 0], exits]), confidence)
         ends = (effect.ratio.value, effect.ratio.low, effect.ratio.high)
         value, low, high = (None if end is None else end - 1 for end in ends)
         family = None
         if p_adjusted is not None:
             family = Family(len(taus), p_adjusted, alpha=1 - confidence)
         difference = Difference(Estimate(value, low, high), family=family)
-        pairs.append(Pairs(label, taus[k], observed, float(rows[:, k, 1].mean()), effect.ratio, difference))
+        independent = float(rows[:, k, 1].sum() / exits.sum())
+        pairs.append(Pairs(label, taus[k], observed, independent, effect.ratio, difference))
     return pairs
 
 
