@@ -28,7 +28,6 @@ from stickslip.analysis.models.magnitudes import (
     bends,
     by_least,
     magnitudes_of,
-    misfit,
     shares_between,
 )
 from stickslip.analysis.models.recurrence import Recurrence, recurrence
@@ -54,18 +53,18 @@ class Catalogues:
         Of intervals.
     declared : tuple of float, optional
         The range of magnitudes that b is of.
-    rng : numpy.random.Generator
-        For `misfit`.
     method : Label
         What tells it from the other groups.
+    misfit : Estimate
+        How far the magnitudes lie from their law, of `models.magnitudes.misfit`.
     """
 
     group: Group
     runs: dict[int, list[Catalogue]]
     confidence: float
-    declared: tuple[float, float] | None
-    rng: np.random.Generator
+    declared: tuple[float, float] | None = None
     method: Label = field(default_factory=Label)
+    misfit: Estimate = field(default_factory=Estimate)
 
     @property
     def label(self) -> str:
@@ -112,11 +111,6 @@ class Catalogues:
     def law(self) -> Magnitudes:
         """What the magnitudes of the systems are like."""
         return magnitudes_of(self.by_system, self.confidence, self.declared)
-
-    @cached_property
-    def misfit(self) -> Estimate:
-        """How far the magnitudes lie from their law, of `models.magnitudes.misfit`."""
-        return misfit(self.law, self.confidence, self.rng)
 
     @cached_property
     def in_peak(self) -> tuple[Estimate, Estimate]:
@@ -222,13 +216,8 @@ def read(study: Study) -> list[Catalogues]:
         return []
     of_member = {str(name): table for name, table in episodes.groupby("member_id", sort=False)}
     groups = sorted(study.groups, key=fineness)
-    confidence, declared = study.settings.confidence, study.settings.magnitude_range
-    filled = [
-        Catalogues(
-            group, _by_unit(study, group, of_member), confidence, declared, study.generator(f"misfit {group.label}")
-        )
-        for group in groups
-    ]
+    settings = study.settings.confidence, study.settings.magnitude_range
+    filled = [Catalogues(group, _by_unit(study, group, of_member), *settings) for group in groups]
     return [entry for entry in filled if entry.runs]
 
 

@@ -62,7 +62,7 @@ from stickslip.analysis.models.episodes import (
     STORED,
 )
 from stickslip.analysis.models.laws import Difference as LawDifference
-from stickslip.analysis.models.magnitudes import WIDTH
+from stickslip.analysis.models.magnitudes import WIDTH, misfit
 from stickslip.analysis.models.magnitudes import Picture as Kind
 from stickslip.analysis.models.recurrence import Bin
 from stickslip.analysis.outcomes import DIFFERENT, UNDECIDED, in_words
@@ -231,6 +231,7 @@ def answer(study: Study) -> Answer | None:
         return Answer(findings=[Lack("episodes", Reason.NOTHING_COUNTED, why)])
     for group, method in zip(groups, names(groups), strict=True):
         group.method = method
+        group.misfit = misfit(group.law, level, study.generator(f"misfit {group.label}"))
     counted = [group for group in groups if not _is_blurred(group)]
     by_system, judged = systems(counted), [group for group in counted if group.is_judged]
     tables = {"episodes": frame_by(_GROUPS, groups)}
