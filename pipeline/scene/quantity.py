@@ -33,6 +33,9 @@ from stickslip.pipeline.scene.toml import once, shown, unquoted
 from stickslip.sim.numerics.arguments import did_you_mean
 from stickslip.sim.systems.system import NORMAL_FORCE
 
+#: The schema of two numbers.
+PAIR = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
+
 
 @dataclass(frozen=True)
 class Key:
@@ -141,9 +144,8 @@ class Key:
     ) -> JsonSchemaValue:
         bound = "exclusiveMinimum" if self.above else "minimum"
         number: dict[str, Any] = {"type": "number"} | ({} if self.least is None else {bound: self.least})
-        pair = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
         tables = [
-            {"type": "object", "properties": {name: pair}, "required": [name], "additionalProperties": False}
+            {"type": "object", "properties": {name: PAIR}, "required": [name], "additionalProperties": False}
             for name in self.names
         ]
         if self.ratio_of:

@@ -24,7 +24,7 @@ from stickslip.pipeline.own.function import PATTERN
 from stickslip.pipeline.records import RECORDS
 from stickslip.pipeline.records.record import Record, StateRecord, WindowRecord
 from stickslip.pipeline.scene.engine_table import Readings
-from stickslip.pipeline.scene.quantity import Displacement, Velocity
+from stickslip.pipeline.scene.quantity import PAIR, Displacement, Velocity
 from stickslip.pipeline.scene.toml import (
     Count,
     List,
@@ -345,7 +345,7 @@ class AnalysisTable(StrictTable):
         default=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0), description="gaps of pairs of exits", examples=[[0.05]]
     )
     smallest: Count = Field(default=1, description="smallest cascade that the law is fitted to")
-    magnitude_range: tuple[float, float] | None = Field(
+    magnitude_range: Annotated[tuple[float, float] | None, WithJsonSchema(PAIR)] = Field(
         default=None, description="range of magnitudes that b is of; found in the data if left out",
         examples=[[-1.0, 0.5]],
     )  # fmt: skip

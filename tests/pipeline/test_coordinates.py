@@ -217,13 +217,17 @@ def test_a_dataset_of_the_version_before_goes_on(tmp_path):
     run_ensemble(opened.scene, path, workers=0, accept_version=True)
     assert verify(path) == []
     again = rows(path)
-    columns = [name for name in before[0] if name not in ("n_steps", "n_products")]
-    # the last digits of a run are those of the CPU that it was made on
-    old, new = (DataFrame(part, columns=columns) for part in (before, again))
-    assert_frame_equal(new, old, rtol=1e-9, atol=1e-9)
+    columns = [name for name in before[0] if name not in ("n_steps", "n_rejected", "n_products")]
+    # the last digits of an exact run are those of the CPU that it was made on; a sigmoid one has another step control
+    for is_exact, tol in ((True, 1e-9), (False, 1e-4)):
+        old, new = (
+            DataFrame([row for row in part if (row["engine"] == "coulomb") == is_exact], columns=columns)
+            for part in (before, again)
+        )
+        assert_frame_equal(new, old, rtol=tol, atol=tol)
     assert {row.get("design_point") is None for row in again} == {True, False}
     for name, table in reporting.report(path).tables.items():
-        assert_frame_equal(table, tables[name], rtol=1e-6, atol=1e-9)
+        assert_frame_equal(table, tables[name], rtol=1e-4, atol=1e-9)
 
     more = path.with_name("more")
     extend(path, {"end": True}, more, workers=0, accept_version=True)
