@@ -15,9 +15,9 @@ from sphinx.util.docutils import SphinxDirective
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from stickslip.pipeline.dataset.schema import SCHEMA, as_fields
+from stickslip.pipeline.dataset.schema import as_fields
 from stickslip.pipeline.records import RECORDS
-from stickslip.pipeline.scene.columns import ON_DEMAND
+from stickslip.pipeline.scene.columns import FIXED, ON_DEMAND
 from stickslip.workflows.scaffold import key_tables
 
 project = "stickslip"
@@ -104,7 +104,7 @@ class Columns(SphinxDirective):
     """Every column that a dataset may have, from the fields of its schema."""
 
     def run(self) -> list[nodes.Node]:
-        text = _columns("In every dataset:", SCHEMA)
+        text = _columns("In every dataset:", as_fields(FIXED))
         for name, (asked_by, columns) in ON_DEMAND.items():
             text += _columns(f"With {asked_by}{_added(name)}{':' if columns else '.'}", as_fields(columns))
         return self.parse_text_to_nodes("\n".join(text))
