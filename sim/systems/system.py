@@ -10,7 +10,7 @@ dimensionless.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -584,10 +584,8 @@ class System:
 
         Without back slip the closed sides stay as they are, also on another belt.
         """
-        other = System(**{**self._arguments(), **arguments})
-        if "back_slip" not in arguments:
-            object.__setattr__(other, "closed", self.closed)
-        return other
+        named = {**self._arguments(), **arguments}
+        return System(**named) if "back_slip" in arguments else _with_sides(named, self.closed)
 
     def _arguments(self) -> dict[str, Any]:
         """By which another is made as this one, but for `back_slip`."""
@@ -605,7 +603,7 @@ class System:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy is made anew: pickled arrays could be written to, and all that follows from them would travel."""
-        return _remade, (self._arguments(), self.closed)
+        return _with_sides, (self._arguments(), self.closed)
 
     def pattern(self) -> Callable[[Floats, Floats], System]:
         """A function of a dense K and of R, shape (n,), new arrays: the same system with these.
@@ -674,7 +672,8 @@ class System:
         return show.table(f"system of {self.n} block{'s' * (self.n > 1)}", rows)
 
 
-def _remade(arguments: dict[str, Any], closed: NDArray[np.int8]) -> System:
+def _with_sides(arguments: dict[str, Any], closed: NDArray[np.int8]) -> System:
+    """The system with these arguments and closed sides."""
     system = System(**arguments)
     object.__setattr__(system, "closed", closed)
     return system
@@ -767,17 +766,22 @@ BEYOND = {
 CARRIED = frozenset({"static", "weakening", "back_slip", "mass", "force", "belt_speed", "damping matrix"})
 
 
+def _beyond(takes: Collection[str], system: System) -> Iterator[Beyond]:
+    """What the system has of `BEYOND` that is not in `takes`."""
+    if not system.is_plain:
+        yield from (feature for name, feature in BEYOND.items() if name not in takes and feature.is_in(system))
+
+
 def is_within(takes: Collection[str], system: System) -> bool:
     """Whether all that the system has of `BEYOND` is in `takes`."""
-    return not any(name not in takes and feature.is_in(system) for name, feature in BEYOND.items())
+    return not any(_beyond(takes, system))
 
 
 def require_within(takes: Collection[str], system: System, what: str) -> None:
     """ValueError if the system has something of `BEYOND` that is not in `takes`; `what` is who does not take it."""
-    for name, feature in () if system.is_plain else BEYOND.items():
-        if name not in takes and feature.is_in(system):
-            expected = feature.expected.format(what)
-            raise ValueError(f"{feature.argument}: expected {expected}, got {feature.came(system)}; {feature.remedy}")
+    for feature in _beyond(takes, system):
+        expected = feature.expected.format(what)
+        raise ValueError(f"{feature.argument}: expected {expected}, got {feature.came(system)}; {feature.remedy}")
 
 
 def require_plain(system: System, what: str) -> None:
