@@ -35,11 +35,11 @@ from .series.cascades import sizes as sizes
 from .series.cascades import window as window
 from .series.seismology import catalogue as catalogue
 from .settings import AnalysisSettings as AnalysisSettings
-from .stats.compare import share_over_matrices as share_over_matrices
-from .stats.compare import wilson as wilson
 from .stats.effective import correlation_time as correlation_time
 from .stats.estimates import Estimate as Estimate
 from .stats.estimates import gamma as gamma
 from .stats.estimates import over_matrices as over_matrices
 from .stats.estimates import ratio as ratio
+from .stats.shares import share_over_matrices as share_over_matrices
+from .stats.shares import wilson as wilson
 from .style import panel as panel

@@ -35,12 +35,12 @@ from stickslip.analysis.stats.compare import (
     bounded_difference,
     bounded_ratio,
     mean_difference,
-    mean_within,
     relative_difference,
 )
 from stickslip.analysis.stats.enough import FEW_MATRICES, LEAST_MATRICES
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums, over_matrices, ratio, within
 from stickslip.analysis.stats.multiplicity import together
+from stickslip.analysis.stats.shares import mean_within
 
 _NO_VALUE = Estimate()
 

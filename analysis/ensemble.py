@@ -22,9 +22,9 @@ from stickslip.analysis.series.runs import Ended, Events, Put, Run, Runs, Series
 from stickslip.analysis.series.windows import ChangePoints, NoSeries, Stack, Windows, windows
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.compare import mean_within, share_over_matrices
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio, within
 from stickslip.analysis.stats.quantities import QUANTITIES
+from stickslip.analysis.stats.shares import mean_within, share_over_matrices
 from stickslip.sim.numerics.arguments import apart, did_you_mean
 from stickslip.sim.runs.run import Samples
 from stickslip.sim.runs.series import EventSeries
@@ -373,7 +373,7 @@ class Study:
         Returns
         -------
         Estimate
-            By `stats.estimates.over_matrices`, or `stats.compare.mean_within`; without an interval, and with the
+            By `stats.estimates.over_matrices`, or `stats.shares.mean_within`; without an interval, and with the
             reason, for fewer than two units; without a value for none. Of a column of truths it is their share, as
             `share`.
 
@@ -500,7 +500,7 @@ class Study:
         Returns
         -------
         Estimate
-            By `stats.compare.share_over_matrices`; without a value, and with the reason, if no run is known.
+            By `stats.shares.share_over_matrices`; without a value, and with the reason, if no run is known.
         """
         values = [has.get(name) for name in group.column("member_id")]
         is_told = np.array([not pd.isna(value) for value in values])

@@ -11,7 +11,7 @@ from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Comparison, Family
 from stickslip.analysis.members import STEPS, WIDTHS
 from stickslip.analysis.models.episodes import DURATION, QUANTITIES, RATE, SIZE, SLIP
-from stickslip.analysis.models.laws import Difference, largest_gap
+from stickslip.analysis.models.largest_gap import Difference, largest_gap
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.steps import Kind, Setting, Step

@@ -1,8 +1,7 @@
-"""What a person is told about a run: its progress (a bar, or a line now and then) and its status."""
+"""The progress of a run: a bar, or a line now and then."""
 
 from __future__ import annotations
 
-import socket
 import sys
 import time
 from collections import Counter
@@ -12,8 +11,7 @@ from typing import TYPE_CHECKING, TextIO
 from tqdm import tqdm
 
 from stickslip.pipeline.dataset.opened import Opened, open_dataset, rows_that_failed
-from stickslip.pipeline.dataset.status import Status, status
-from stickslip.pipeline.errors import command, printable
+from stickslip.pipeline.errors import printable
 from stickslip.pipeline.places.place import Where
 from stickslip.workflows.printed import unescaped
 
@@ -21,10 +19,7 @@ if TYPE_CHECKING:
     from stickslip.pipeline import Progress
 
 #: Seconds between two lines where there is no terminal.
-_EVERY = 10.0
-
-#: Seconds between two looks at a run.
-_LOOK = 2.0
+EVERY = 10.0
 
 
 def clock(seconds: float) -> str:
@@ -32,56 +27,8 @@ def clock(seconds: float) -> str:
     return str(tqdm.format_interval(max(seconds, 0.0)))
 
 
-def say(directory: Where) -> Status:
-    """Print the status of a dataset, and return it."""
-    state = status(directory)
-    print("\n".join(_status_lines(state)))
-    return state
-
-
-def watch(directory: Where) -> Status:
-    """Print the status of a dataset repeatedly until no process writes it, and return the last one."""
-    opened = open_dataset(directory)
-    last: list[str] = []
-    while True:
-        opened = opened.again()
-        state = status(opened)
-        lines = _status_lines(state)
-        if sys.stdout.isatty() and last:
-            print(f"\x1b[{len(last)}F\x1b[J", end="", file=unescaped(sys.stdout))  # over the last ones
-        if lines != last or sys.stdout.isatty():
-            print("\n".join(lines), flush=True)
-        last = lines
-        if state.running is None:
-            return state
-        time.sleep(_LOOK if sys.stdout.isatty() else _EVERY)
-
-
-def _status_lines(state: Status) -> list[str]:
-    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in state.outcomes.items()) or "none yet"
-    lines = [
-        f"members {state.n_done} of {state.n_members} done: {outcomes}",
-        f"shards  {state.n_shards_done} of {state.n_shards}, {state.n_bytes / 1e6:.2f} MB",
-    ]
-    if state.n_damaged:
-        which = command("verify", state.path)
-        lines.append(
-            f"damaged {state.n_damaged} of these shards, or missing, with {state.n_lost} of the members:"
-            f" `{which}` says which"
-        )
-    if state.running is not None:
-        elapsed = clock(time.time() - state.running.began)
-        # a store's lock is a lease, which its owner renews
-        is_seen = "://" in state.path or state.running.owner.endswith(f" on {socket.gethostname()}")
-        said = "" if is_seen else ", as its lock says: only there it can be seen to live"
-        lines.append(f"running {state.running.owner}{said}, {elapsed}{_pace(state.rate, state.eta)}")
-        lines += [f"dask    {state.running.dashboard}"] * (state.running.dashboard is not None)
-    elif not state.is_complete:
-        lines.append("running nothing: rerun the scene to resume")
-    return lines + [f"failed  {count}: {printable(reason)}" for reason, count in state.failures.items()]
-
-
-def _pace(rate: float | None, eta: float | None) -> str:
+def pace(rate: float | None, eta: float | None) -> str:
+    """Members a second and the time to go, if these are known, to follow other words."""
     return "" if rate is None or eta is None else f", {rate:.3g} members/s, {clock(eta)} to go"
 
 
@@ -138,7 +85,7 @@ class Watch:
             self._draw(n, n_all, words).leave = False
         elif self._said is None:
             self._said = now  # most reports are done before the first line
-        elif now - self._said >= _EVERY:
+        elif now - self._said >= EVERY:
             self._said = now
             print(words, file=self._stream, flush=True)
 
@@ -155,7 +102,7 @@ class Watch:
         failed = f", {progress.n_failed} failed" if progress.n_failed else ""
         shards = f"{progress.n_shards_done}/{progress.n_shards} shards"
         waiting = f", waiting for {progress.waiting}" if progress.waiting is not None else ""
-        elapsed = f"{clock(progress.elapsed)}{_pace(progress.rate, progress.eta)}{waiting}"
+        elapsed = f"{clock(progress.elapsed)}{pace(progress.rate, progress.eta)}{waiting}"
         return f"{progress.n_done}/{progress.n_members} members, {shards}{failed}, {elapsed}"
 
     def _print(self, line: str) -> None:
@@ -170,6 +117,6 @@ class Watch:
 
     def _line(self, progress: Progress, at_once: bool) -> None:
         now = time.monotonic()
-        if at_once or self._said is None or now - self._said >= _EVERY or progress.is_complete:
+        if at_once or self._said is None or now - self._said >= EVERY or progress.is_complete:
             self._said = now
             print(self._words(progress), file=self._stream, flush=True)

@@ -16,8 +16,8 @@ import pandas as pd
 from scipy import special
 
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.compare import Scatter, share_over_matrices, wilson, wilsons
 from stickslip.analysis.stats.estimates import Estimate
+from stickslip.analysis.stats.shares import Scatter, share_over_matrices, wilson, wilsons
 from stickslip.sim.systems.sliding import RATE_ROUNDING
 
 COLLAPSED, DIVERGED, SUSTAINED, LULL, QUIET, UNMOVED, FAILED = (

@@ -26,7 +26,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from stickslip.analysis.models.laws import distance
+from stickslip.analysis.models.largest_gap import distance
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio, within
 from stickslip.analysis.stats.families import Family, Fit, log_shares, maximise, parameter

@@ -45,8 +45,8 @@ from stickslip.pipeline.scene.columns import OF_GRAPHS, OF_SETTINGS, PARTS, Reco
 from stickslip.pipeline.scene.ends import Ends, look_at_dataset, place_beside
 from stickslip.pipeline.scene.engine_table import Engines, EngineTable
 from stickslip.pipeline.scene.friction_table import read_friction_table
+from stickslip.pipeline.scene.grid import axes, points
 from stickslip.pipeline.scene.meaning import meaning
-from stickslip.pipeline.scene.quantity import axes, points
 from stickslip.pipeline.scene.source import parse_toml, read_source
 from stickslip.pipeline.scene.system_table import OF_FILES, OF_GRAPH, SystemTable, is_function
 from stickslip.pipeline.scene.systems import (

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 
-from stickslip.sim.attractors.deviations import slip_rates
+from stickslip.sim.attractors.multipliers import slip_rates
 from stickslip.sim.attractors.result import Attractor
 from stickslip.sim.attractors.settling import attractor, frequencies_of, persisting
 from stickslip.sim.numerics.arguments import Floats, number

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.attractors.deviations import LOST, Follow, slip_rates
+from stickslip.sim.attractors.multipliers import LOST, Follow, slip_rates
 from stickslip.sim.attractors.null_space import across
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run

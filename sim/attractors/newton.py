@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.attractors.deviations import LOST, Follow, Path
+from stickslip.sim.attractors.multipliers import LOST, Follow, Path
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.series import EventSeries, by_block
 from stickslip.sim.systems.system import System

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.attractors.deviations import Path, largest
 from stickslip.sim.attractors.growth import TOL, Growth, growth
+from stickslip.sim.attractors.multipliers import Path, largest
 from stickslip.sim.attractors.newton import FAR, Near, Newton
 from stickslip.sim.attractors.null_space import NULL, across, null_space
 from stickslip.sim.attractors.result import Attractor

@@ -17,7 +17,7 @@ from scipy import fft, linalg, signal, special, stats
 from stickslip.analysis.models import clustering, common_motion, fates, growth, magnitudes, pool, times
 from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.series.nulls import BlockSteps
-from stickslip.analysis.stats import compare, components
+from stickslip.analysis.stats import compare, components, shares
 from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.estimates import (
     LN2,
@@ -427,7 +427,7 @@ def blocks_study(rng, ensembles):
         found, student = [], []
         for row in agreeing(rng, share, correlation, 20, (ensembles, g)):
             sums = np.column_stack([row, np.ones(g)])
-            found.append(compare.mean_within(sums, 1.0, CONFIDENCE))
+            found.append(shares.mean_within(sums, 1.0, CONFIDENCE))
             student.append(over_matrices(ratio, sums, CONFIDENCE))
         planted = f"{share:g}, {g} systems, correlation {correlation:g}"
         narrow = judged("", planted, share, student)
@@ -459,7 +459,7 @@ def rare_study(rng, ensembles):
                     rows.append(some.restricted(1.0).rows)
             if len(rows) < 2:
                 continue
-            found["mean"].append(compare.mean_within(rows[0], 1.0, CONFIDENCE))
+            found["mean"].append(shares.mean_within(rows[0], 1.0, CONFIDENCE))
             for name, test in (
                 ("difference", compare.bounded_difference(*rows, True)),
                 ("relative", compare.bounded_ratio(*rows, True, 1.0)),
@@ -497,7 +497,7 @@ def truth_study(rng, ensembles):
                 np.column_stack([(some < share).sum(axis=1), np.full(g, k)]).astype(float)
                 for some, share in ((first, p), (second, q), (other, q))
             )
-            share, *ends, _ = compare.share_over_matrices(a, CONFIDENCE)
+            share, *ends, _ = shares.share_over_matrices(a, CONFIDENCE)
             found["share"].append((share - p, *(np.array(ends) - p)))
             for name, paired, rows in (("paired", True, b), ("independent", False, c)):
                 test = compare.bounded_difference(a, rows, paired, is_counted=True)
@@ -535,7 +535,7 @@ def times_study(rng, ensembles):
             tests = {}
             if all(part.reaches(limit) for part in both):
                 areas = [part.restricted(limit).rows for part in both]
-                found["restricted mean"].append(compare.mean_within(areas[0], limit, CONFIDENCE))
+                found["restricted mean"].append(shares.mean_within(areas[0], limit, CONFIDENCE))
                 tests["restricted mean: difference"] = compare.bounded_difference(*areas, True, limit)
             with suppress(Undefined):  # where fewer than half have it, or the interval has no end
                 tests["median: difference"] = times.median_difference(*both, True)
@@ -588,9 +588,9 @@ def survival_study(rng, ensembles, delay=20.0):
         curves = [survival(rng, n_runs, rate, 2000.0, delay) for _ in range(ensembles)]
         for at in (500.0, 1000.0, 1400.0):
             found = []
-            for t, *shares in curves:
+            for t, *of_fates in curves:
                 k = np.searchsorted(t, at, side="right") - 1
-                found.append(Estimate(*(float(share[k]) for share in shares)))
+                found.append(Estimate(*(float(share[k]) for share in of_fates)))
             yield judged("survival", f"rate {rate:g}, t = {at:g}, {n_runs} runs", float(np.exp(-rate * at)), found)
 
 

@@ -5,19 +5,10 @@ import pytest
 from scipy import stats
 
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.compare import (
-    Compared,
-    Proportion,
-    against,
-    bounded_difference,
-    bounded_ratio,
-    mean_difference,
-    mean_within,
-    share_over_matrices,
-    wilson,
-)
+from stickslip.analysis.stats.compare import Compared, against, bounded_difference, bounded_ratio, mean_difference
 from stickslip.analysis.stats.estimates import Undefined, over_matrices, ratio
 from stickslip.analysis.stats.multiplicity import holm
+from stickslip.analysis.stats.shares import Proportion, mean_within, share_over_matrices, wilson
 
 
 def test_the_test_agrees_with_its_interval():

@@ -27,7 +27,7 @@ from stickslip.analysis.models.fates import (
     survival,
 )
 from stickslip.analysis.questions.runs.fates import DELAY, QUESTION, answer
-from stickslip.analysis.stats.compare import share_over_matrices, wilson
+from stickslip.analysis.stats.shares import share_over_matrices, wilson
 from tests.analysis import studies
 from tests.analysis.designs import Data
 

@@ -15,8 +15,8 @@ from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.grid import balanced
 from stickslip.analysis.page.comparison import Ensemble, compare
 from stickslip.analysis.questions.runs.changes import answer as changes_of
-from stickslip.analysis.stats.compare import wilson
 from stickslip.analysis.stats.estimates import UnitSums
+from stickslip.analysis.stats.shares import wilson
 from tests.analysis.designs import Data
 from tests.analysis.studies import renewals
 from tests.chance import SURE

@@ -7,8 +7,9 @@ import pytest
 
 from stickslip.analysis.models.fates import SUSTAINED, half_ended
 from stickslip.analysis.models.times import Times, median_difference
-from stickslip.analysis.stats.compare import mean_difference, mean_within, wilson
+from stickslip.analysis.stats.compare import mean_difference
 from stickslip.analysis.stats.estimates import Undefined, over_matrices, ratio
+from stickslip.analysis.stats.shares import mean_within, wilson
 
 #: Weeks of remission under 6-MP (Freireich and others 1963; Gehan 1965): seen to end, and followed without.
 ENDED, FOLLOWED = [6, 6, 6, 7, 10, 13, 16, 22, 23], [6, 9, 10, 11, 17, 19, 20, 25, 32, 32, 34, 35]

@@ -168,8 +168,8 @@ def test_each_draw_is_numpys_own_under_its_key(source, random_seed):
 #: What a member is, from the file of the scene on, and what of its run becomes which column.
 DETERMINING = (
     "dataset/schema", "ensemble/expand", "ensemble/member", "ensemble/new", "own/function", "records/events",
-    "records/new", "running/ends", "running/worker", "scene/new", "scene/quantity", "scene/scene", "scene/systems",
-    "scene/toml",
+    "records/new", "running/ends", "running/worker", "scene/grid", "scene/new", "scene/quantity", "scene/scene",
+    "scene/systems", "scene/toml",
 )  # fmt: skip
 
 

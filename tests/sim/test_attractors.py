@@ -12,9 +12,9 @@ from scipy.linalg import expm
 
 from stickslip.sim import Harmonic, Piecewise, Rational, Stribeck, System, simulate
 from stickslip.sim.attractors import attractor, same_cycle
-from stickslip.sim.attractors.deviations import exponential
 from stickslip.sim.attractors.growth import _of as rate_of
 from stickslip.sim.attractors.growth import growth
+from stickslip.sim.attractors.multipliers import exponential
 from stickslip.sim.attractors.null_space import null_space
 from stickslip.workflows.gallery.field import two_blocks
 from stickslip.workflows.gallery.field.forced import Forced, most_friction, shape, sliding_cycle

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from stickslip.sim import System, simulate
-from stickslip.sim.engines.waveform import friction
+from stickslip.sim.engines import sigmoid_law
 from stickslip.sim.numerics import panels, radau
 from stickslip.sim.numerics.lanes import on_number
 from stickslip.sim.systems.friction import hidden_term
@@ -69,12 +69,12 @@ def test_the_error_of_products_in_single_precision_is_as_large_as_told(rng):
 
 
 def test_the_law_and_its_slope():
-    of_number = numba.njit(lambda x, c: friction.sign_of_number(x, c))
+    of_number = numba.njit(lambda x, c: sigmoid_law.sign_of_number(x, c))
     x = np.concatenate(([0.0], np.geomspace(1e-12, 400.0, 300), -np.geomspace(1e-12, 400.0, 300)))
     lam, rise = np.tanh(x), 1 / np.cosh(np.clip(x, -300, 300)) ** 2
     for ratio in (1.0, 1.3, 3.0):
         c = float(hidden_term(ratio))
-        apply = on_number(lambda x, c=c: friction.peaked_sign(x, x * 0.0 + c))
+        apply = on_number(lambda x, c=c: sigmoid_law.peaked_sign(x, x * 0.0 + c))
         of_both = numba.njit(lambda x, apply=apply: apply(x))
         values = np.array([of_both(each) for each in x])
         s = lam + c * lam * rise

@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from stickslip.sim import Piecewise, Rational, Stribeck, System, draw_system, simulate
-from stickslip.sim.engines.waveform import friction
+from stickslip.sim.engines import sigmoid_law
 from stickslip.sim.numerics.lanes import on_number
 from stickslip.sim.systems.weakening import LAW_OF, LAWS
 from tests.independent import follow
@@ -199,7 +199,7 @@ def test_the_law_and_its_slope(kind, law):
     c, far, fall = 0.7, 0.4, 0.3
     for closed in (-1.0, 0.0, 1.0):
         rest = c, far, fall, closed
-        formula = on_number(lambda x, rest=rest: friction.open_sign(kind, x, *(x * 0.0 + y for y in rest)))
+        formula = on_number(lambda x, rest=rest: sigmoid_law.open_sign(kind, x, *(x * 0.0 + y for y in rest)))
         apply = numba.njit(lambda x, formula=formula: formula(x))
         lam = np.tanh(x)
         value = (lam + c * lam * (1 - lam**2)) * (far + (1 - far) * law.shape(fall * abs(x)))

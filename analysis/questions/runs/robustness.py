@@ -23,9 +23,9 @@ from stickslip.analysis.models.motion import COLUMNS
 from stickslip.analysis.outcomes import forest, outcomes
 from stickslip.analysis.pairs import START, Comparison, Setting, follow, level, settings
 from stickslip.analysis.stats import components, enough
-from stickslip.analysis.stats.compare import share_over_matrices
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums
 from stickslip.analysis.stats.quantities import QUANTITIES
+from stickslip.analysis.stats.shares import share_over_matrices
 from stickslip.analysis.steps import Kind, Step, few, judged_together, table_of
 from stickslip.analysis.steps import Setting as Named
 from stickslip.pipeline.design import design

@@ -43,8 +43,8 @@ from stickslip.analysis.models.fates import (
     bounded_share,
     is_held,
 )
-from stickslip.analysis.stats.compare import wilson
 from stickslip.analysis.stats.estimates import Estimate
+from stickslip.analysis.stats.shares import wilson
 from stickslip.pipeline.design.design import Axis, Unit, in_words
 from stickslip.pipeline.design.design import Row as KeyValues
 from stickslip.pipeline.design.labels import Label, apart, labels

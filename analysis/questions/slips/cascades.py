@@ -42,11 +42,11 @@ from stickslip.analysis.series import nulls
 from stickslip.analysis.series.cascades import spans
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats import enough, estimates, student
-from stickslip.analysis.stats.compare import mean_within
 from stickslip.analysis.stats.components import between
 from stickslip.analysis.stats.dispersion import excess, moments
 from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, over_matrices, ratio
 from stickslip.analysis.stats.families import EXPONENTIAL, POWER_LAW, log_shares, maximise
+from stickslip.analysis.stats.shares import mean_within
 from stickslip.analysis.style import forest
 from stickslip.pipeline.design.labels import Label, apart
 from stickslip.sim.engines import ENGINES

@@ -61,7 +61,7 @@ from stickslip.analysis.models.episodes import (
     SLOW_DRIVE,
     STORED,
 )
-from stickslip.analysis.models.laws import Difference as LawDifference
+from stickslip.analysis.models.largest_gap import Difference as LawDifference
 from stickslip.analysis.models.magnitudes import WIDTH, misfit
 from stickslip.analysis.models.magnitudes import Picture as Kind
 from stickslip.analysis.models.recurrence import Bin

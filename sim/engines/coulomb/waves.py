@@ -17,10 +17,10 @@ from stickslip.sim.engines.certificates import Collapse
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.loop import Events
 from stickslip.sim.engines.precheck import Precheck
+from stickslip.sim.engines.sigmoid_law import SetValued
 from stickslip.sim.engines.stacks import Stack
 from stickslip.sim.engines.waveform import control as limits
 from stickslip.sim.engines.waveform.control import Control
-from stickslip.sim.engines.waveform.friction import SetValued
 from stickslip.sim.engines.waveform.layout import Exact, Model, Shared, Workspace
 from stickslip.sim.engines.waveform.matrices import matrices_of, signed_sum
 from stickslip.sim.engines.waveform.runs import WaveformRuns, tables_of

@@ -15,11 +15,11 @@ from stickslip.sim.engines.forcing import Forcing
 from stickslip.sim.engines.loop import Events
 from stickslip.sim.engines.polynomials import Polynomials
 from stickslip.sim.engines.precheck import Precheck
+from stickslip.sim.engines.sigmoid_law import Peaked, Plain, Steady
 from stickslip.sim.engines.stacks import Stack
 from stickslip.sim.engines.waveform import control as limits
 from stickslip.sim.engines.waveform.control import Control
 from stickslip.sim.engines.waveform.events import PASSES
-from stickslip.sim.engines.waveform.friction import Peaked, Plain, Steady
 from stickslip.sim.engines.waveform.layout import Blocks, Model, Shared, Workspace
 from stickslip.sim.engines.waveform.matrices import NONE, Matrix, matrices_of, matrix_of
 from stickslip.sim.engines.waveform.runs import WaveformRuns, tables_of

@@ -17,8 +17,7 @@ from collections.abc import Callable
 from functools import reduce
 from typing import Any
 
-from stickslip.sim.engines.waveform import control
-from stickslip.sim.engines.waveform.friction import (
+from stickslip.sim.engines.sigmoid_law import (
     Law,
     Peaked,
     Plain,
@@ -28,6 +27,7 @@ from stickslip.sim.engines.waveform.friction import (
     shape_of,
     smooth_sign,
 )
+from stickslip.sim.engines.waveform import control
 from stickslip.sim.numerics.lanes import Lane, absolute, dot, greater, less, on_rows, total, where
 from stickslip.sim.numerics.radau import (
     ALL_AT_PLACES,

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.loop import Buffers, Events
+from stickslip.sim.engines.sigmoid_law import sign_of_number
 from stickslip.sim.engines.waveform.collocation import view
-from stickslip.sim.engines.waveform.friction import sign_of_number
 from stickslip.sim.engines.waveform.layout import Blocks, Exact, Model, Span, Workspace, blocks
 from stickslip.sim.engines.waveform.pieces import slip_at
 from stickslip.sim.kernels.compile import inner

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis.stats.compare import wilson
 from stickslip.analysis.stats.estimates import Estimate
+from stickslip.analysis.stats.shares import wilson
 
 REPRODUCED, CORRECTED, CONTRADICTED, UNTOLD = "reproduced", "corrected", "not reproduced", "cannot be told"
 CONFIDENCE = 0.95

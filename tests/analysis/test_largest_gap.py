@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stickslip.analysis.models import laws
+from stickslip.analysis.models.largest_gap import largest_gap
 from stickslip.analysis.stats import flips
 from stickslip.analysis.stats.estimates import Undefined
 from tests.analysis import studies
@@ -16,30 +16,28 @@ def times(some, n):
 
 def test_the_largest_gap_is_that_of_kolmogorov_and_smirnov(rng):
     """1 to 10 against 4 to 13: at 3 the first has 0.3 and the second nothing."""
-    found = laws.largest_gap(times((np.arange(1, 11), np.arange(4, 14)), 8), 0.95, rng)
+    found = largest_gap(times((np.arange(1, 11), np.arange(4, 14)), 8), 0.95, rng)
     assert (found.size.value, found.size.low, found.size.high) == pytest.approx((0.3, 0.3, 0.3))
     assert found.p_different == found.p_floor == 2 / 2**8
 
 
 def test_differences_that_go_either_way_are_none(rng):
     low, high = np.arange(10), np.arange(5, 15)
-    found = laws.largest_gap([(low, high), (high, low)] * 6, 0.95, rng)
+    found = largest_gap([(low, high), (high, low)] * 6, 0.95, rng)
     assert found.size.value == pytest.approx(0.0)
     assert found.p_different == 1
 
 
 def test_a_system_that_one_method_has_no_value_of_is_left_out(rng):
     pair = (np.arange(1, 11), np.arange(4, 14))
-    found = laws.largest_gap([*times(pair, 8), (np.arange(5), np.zeros(0))], 0.95, rng)
+    found = largest_gap([*times(pair, 8), (np.arange(5), np.zeros(0))], 0.95, rng)
     assert found.size.value == pytest.approx(0.3)
 
 
 def test_swaps_change_neither_gap_nor_p(rng):
     """Which method comes first is a matter of names."""
     pairs = studies.shifted(rng, 0.1, 0.5)
-    one, other = (
-        laws.largest_gap(some, 0.95, np.random.default_rng(0)) for some in (pairs, [(b, a) for a, b in pairs])
-    )
+    one, other = (largest_gap(some, 0.95, np.random.default_rng(0)) for some in (pairs, [(b, a) for a, b in pairs]))
     assert (one.size.value, one.size.low, one.p_different) == pytest.approx(
         (other.size.value, other.size.low, other.p_different)
     )
@@ -47,12 +45,12 @@ def test_swaps_change_neither_gap_nor_p(rng):
 
 def test_too_few_systems_give_no_verdict(rng):
     with pytest.raises(Undefined, match="few matrices"):
-        laws.largest_gap(times((np.arange(9), np.arange(9)), 5), 0.95, rng)
+        largest_gap(times((np.arange(9), np.arange(9)), 5), 0.95, rng)
 
 
 def test_what_is_one_value_by_both_is_no_agreement(rng):
     with pytest.raises(Undefined, match="one value"):
-        laws.largest_gap(times((np.ones(5), np.ones(9)), 8), 0.95, rng)
+        largest_gap(times((np.ones(5), np.ones(9)), 8), 0.95, rng)
 
 
 def test_one_law_is_told_apart_in_a_twentieth_and_another_more_often(rng, monkeypatch):
@@ -61,7 +59,7 @@ def test_one_law_is_told_apart_in_a_twentieth_and_another_more_often(rng, monkey
     hits, held = [], 0
     for shift in (0.0, 0.2):
         how, answer = studies.PLANTED_LAWS[f"gap, shift {shift:g}, rho 0.7"]
-        found = [laws.largest_gap(studies.shifted(rng, *how), 0.95, rng) for _ in range(60)]
+        found = [largest_gap(studies.shifted(rng, *how), 0.95, rng) for _ in range(60)]
         hits.append(sum(one.p_different < 0.05 for one in found))
         held += sum(one.size.low <= answer <= one.size.high for one in found)
     assert agrees(hits[0], 60, 0.03, 0.07)
