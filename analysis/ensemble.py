@@ -403,12 +403,18 @@ class Study:
 
     def _recorded(self, argument: str, name: str) -> Recorded:
         recorded = self.data.recorded
-        if name not in recorded:
-            raise ValueError(
-                f"{argument}: expected a number that a record keeps ({', '.join(recorded) or 'there is none'}), got "
-                f"{name!r}{did_you_mean(name, [*recorded])}; ask for its record under [record]"
+        if name in recorded:
+            return recorded[name]
+        remedy = f"{did_you_mean(name, recorded)}; ask for its record under [record]"
+        if name in self.data.members:
+            remedy = (
+                ", a column of data.members; give its numbers by member_id,"
+                f' study.data.members.set_index("member_id")[{name!r}]'
             )
-        return recorded[name]
+        raise ValueError(
+            f"{argument}: expected a number that a record keeps ({', '.join(recorded) or 'there is none'}), got"
+            f" {name!r}{remedy}"
+        )
 
     def times(self, group: Group, name: str) -> tuple[Times, np.ndarray]:
         """A time that the end of a run may cut off: of the runs of a group that were measured; and which these are.

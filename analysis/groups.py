@@ -32,9 +32,20 @@ from stickslip.pipeline.design.design import Point, Unit
 from stickslip.pipeline.design.labels import Label, labels
 from stickslip.pipeline.design.values import rank, ranks
 from stickslip.sim.engines import ENGINES, place
+from stickslip.sim.numerics.arguments import did_you_mean
 
 #: Columns of motion whose sums a group keeps for each unit.
 _TOTALS = tuple(name for name in COLUMNS if name != "short")
+
+
+class _Setting(dict[str, float | str]):
+    """The values of keys, which says what there is instead of a key that is not there."""
+
+    def __missing__(self, key: str) -> float | str:
+        raise KeyError(
+            f"at: expected n or a key of the scene that may be swept, {', '.join(self)}, got {key!r}"
+            f"{did_you_mean(key, self)}; ask `group.key` for settings of the engine, `group.members` for columns"
+        )
 
 
 @dataclass
@@ -136,13 +147,14 @@ class Group:
 
     @property
     def at(self) -> dict[str, float | str]:
-        """Value of each key that a scene may sweep, by its name there: a number, or a distribution in words."""
+        """n, and each key that a scene may sweep, by its name there: a number, or a distribution in words."""
         columns = {name.removesuffix("0"): value for name, value in self.key.items()}
         values = {
             key: value if columns.get(key) is None else columns[key]
             for key, value in self.table.design.values(self.point).items()
         }
-        return {key: value if isinstance(value, float) else str(value) for key, value in values.items()}
+        words = {key: value if isinstance(value, float) else str(value) for key, value in values.items()}
+        return _Setting({"n": self.key["n"], **words})
 
     @property
     def is_finished(self) -> np.ndarray:

@@ -18,6 +18,7 @@ from stickslip.pipeline.dataset.schema import scalars
 from stickslip.pipeline.errors import QueryError, StoreError, printable
 from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.records import TABLES
+from stickslip.sim.numerics.arguments import did_you_mean
 
 #: Rows of a batch of an answer.
 _ROWS = 100_000
@@ -258,9 +259,13 @@ def _explained(duckdb: Any, shards: _Shards, names: list[str]) -> Iterator[None]
     except (duckdb.Error, pa.ArrowException, OSError) as error:  # once rows are coming, Arrow hands on an OSError
         if shards.fault is not None:
             raise shards.fault from None
-        match = re.search(r"Table with name (\w+) does not exist", str(error))
-        if match and match[1].lower() in TABLES and match[1].lower() not in names:
-            raise not_recorded(match[1].lower()) from error
+        message, views_there = printable(str(error).strip()), ["shards", *names]
+        if match := re.search(r"Table with name (\w+) does not exist", message):
+            name = match[1].lower()
+            if name in TABLES and name not in names:
+                raise not_recorded(name) from error
+            # DuckDB's hint names tables of its own
+            message = f"expected a view of the dataset, got {match[1]}{did_you_mean(name, {*views_there, *TABLES})}"
         unknown = isinstance(error, duckdb.PermissionException | duckdb.CatalogException)
-        words = f"; a query reads {', '.join(['shards', *names])}, and nothing else" if unknown else ""
-        raise QueryError(f"query: {printable(str(error).strip())}{words}") from error
+        words = f"; a query reads {', '.join(views_there)}, and nothing else" if unknown else ""
+        raise QueryError(f"query: {message}{words}") from error

@@ -263,13 +263,18 @@ class WeakeningTable(_with_terms("weakening", _Law)):  # type: ignore[misc]
                     raise ValueError(f"{key}: expected none beside a table, got one; remove it")
             return self
         parameters = LAWS[self.law].parameters()
-        foreign = [key for law in LAWS.values() for key in law.parameters() if key not in parameters]
-        surplus = [key for key in foreign if getattr(self, key) is not None]
+        for other in LAWS.values():
+            for key in other.parameters().keys() - parameters.keys():
+                if (got := getattr(self, key)) is not None:
+                    needed = " and ".join(f"`{name}`" for name in parameters)
+                    raise ValueError(
+                        f'{key}: expected none with law = "{self.law}", which takes {needed}, got {got}; remove it,'
+                        f' or write law = "{other.name}"'
+                    )
         for key, parameter in parameters.items():
-            if getattr(self, key) is None or surplus:
-                none = " and no ".join(f"`{name}`" for name in surplus or foreign)
+            if getattr(self, key) is None:
                 example = f"`{key} = {parameter['example']}`"
-                raise ValueError(f'{key}: expected with law = "{self.law}", and no {none}; write e.g. {example}')
+                raise ValueError(f'{key}: expected that of law = "{self.law}", found nothing; write e.g. {example}')
         return self
 
 

@@ -318,6 +318,8 @@ def _problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDe
         expected = f"a value {words} {float(bound):g}" if "." in bound else f"a value {expected}"
     got = shown(list(value) if isinstance(value, tuple) else value)
     remedy = f"; {f'e.g. {example}' if example else f'`{key}`'} ({field.description})" if field else ""
+    if kind == "literal_error":
+        remedy = did_you_mean(value, re.findall(r"'([^']*)'", expected)) or remedy
     if kind in ("int_type", "float_type"):
         remedy = unquoted(value, int if kind == "int_type" else float) or remedy
     if isinstance(value, list) and kind.endswith("_type") and not path.endswith("]"):

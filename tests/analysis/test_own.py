@@ -342,6 +342,12 @@ def test_a_mean_and_a_share_have_intervals_over_matrices(study, rng):
         ValueError, match=r"numbers: expected a number that a record keeps \(there is none\), got 'sped'"
     ):
         study.mean(group, "sped")
+    with pytest.raises(ValueError, match=r"'n', a column of data\.members; give its numbers by member_id"):
+        study.mean(group, "n")
+    setting = group.at
+    assert setting["n"] == group.key["n"]
+    with pytest.raises(KeyError, match=r"expected n or a key of the scene that may be swept, .*got 'belt_sped'"):
+        setting["belt_sped"]
     assert study.mean(group, {names[1]: float("nan")}).reason == "no matrix has data"
     has = {name: k == 2 for k, name in enumerate(names)} | {names[0]: None}
     share = study.share(group, has)

@@ -39,6 +39,8 @@ def test_changed_numbers_are_another_scene():
 
 
 @pytest.mark.parametrize(("law", "more", "words"), [
+    ('{law = "stribek", speed = 0.1}', "static = 0.7", "did you mean 'stribeck'"),
+    ('{law = "rational"}', "", r'rate: expected that of law = "rational", found nothing'),
     ("{}", "", r"law: expected a law or a table, got neither"),
     ('{table = "friction.csv"}', "", r"expected a law or a table, got no speeds and coefficients beside `table`"),
     ("{speeds = [0.0, 1.0, 2.0, 3.0]}", "", r"got no speeds and coefficients beside `speeds`"),

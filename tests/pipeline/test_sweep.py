@@ -536,7 +536,7 @@ BAD = {
     "a number of another law": (
         "n = [3, 4]",
         'n = 3\nweakening = {law = "rational", speed = 1.0}',
-        ["system.weakening.rate", 'law = "rational"'],
+        ["system.weakening.speed: expected none", 'law = "rational"', 'write law = "stribeck"'],
     ),
     "times that stand still": (
         "belt_speed = [-0.1, -0.2]",

@@ -28,6 +28,7 @@ from stickslip.analysis.models.fates import fate
 from stickslip.analysis.questions import QUESTIONS, question
 from stickslip.pipeline import SceneError, expand, load_scene, parse_scene, query, run_ensemble
 from stickslip.pipeline.dataset.opened import open_dataset
+from stickslip.pipeline.records import RECORDS
 from stickslip.pipeline.scene import engine_table
 from stickslip.sim import draw_system, simulate
 from stickslip.sim.engines import ENGINES
@@ -208,6 +209,14 @@ def test_the_questions_are_those_of_a_report():
     listed = re.findall(r"^\| ([^|]+\?) \| `(\w+)` \|", page("reading"), flags=re.MULTILINE)
     titles = {key: question(key).title for key in QUESTIONS}
     assert {key: name for name, key in listed} == titles
+
+
+def test_the_records_are_those_of_a_scene():
+    section = page("scenes").partition("\n## Records")[2].partition("\n## ")[0]
+    columns = {record.name: {column.name for column in record.columns} for record in RECORDS}
+    assert columns.keys() - re.findall(r"`(\w+)[ `]", section) == {"contacts", "thresholds"}  # no keys of [record]
+    for name, words in re.findall(r"^\| `(\w+) = .*?` \| (.*) \|$", section, flags=re.MULTILINE):
+        assert {*re.findall(r"`(\w+)`", words)} - columns[name] <= {"amplitude_bit"}, name
 
 
 def test_the_words_of_a_difference_are_those_of_findings():
