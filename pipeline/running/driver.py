@@ -82,70 +82,45 @@ def run_ensemble(
 
     Parameters
     ----------
-    scene : Scene
-        Its `source` is kept beside the data.
     out : str, Path or Place
-        Directory of the dataset, or its address in an object store: absent, empty, or an earlier run of this scene,
-        which is resumed, or of a part of it, which grows.
+        Directory of the dataset, or its address in an object store: absent, empty, or an earlier run of this scene or
+        of a part of it, which is resumed, or grows.
     workers : int
         Local processes of one thread each; 0 runs in this process, for debugging and small scenes.
     scheduler : str, distributed.Client or callable, optional
-        Address of a running dask cluster, or a client of one, or a function that returns it and is called once there
-        is something to compute; used instead of local workers. Its workers need this package and should have one
-        thread each.
+        Instead of local workers: address of a dask cluster, or a client, or a function that returns one, called once
+        there is something to compute. Its workers need this package and should have one thread each.
     on_progress : callable, optional
         Called with a `Progress` at the start, each second while the run waits, and after each commit.
-    retry_failed : bool
-        Whether to run shards with failed members again.
-    accept_version : bool
-        Whether to resume a dataset that another version of the program began; numbers may differ.
-    dashboard : bool
-        Whether local workers have dask's dashboard, which anybody on this machine may look at.
-    yes : bool
-        Whether to run more than 10 million members, which may be a typing error.
+    retry_failed, accept_version : bool
+        Whether to run shards with failed members again; whether to resume a dataset that another version of the
+        program began, where numbers may differ.
+    dashboard, yes : bool
+        Whether local workers have dask's dashboard, which anybody on this machine may look at; whether to run more
+        than 10 million members, which may be a typing error.
     kept : str, Path, Place or Opened, optional
         Another dataset. Its members that are the same here, and did not fail, are run only for what their rows lack.
 
     Raises
     ------
-    ValueError
-        If `workers` is negative.
-    CacheError
-        If others could write the kernel cache.
-    StoreError
-        If the directory cannot be used or written.
-    SceneError
-        If it has many members without a yes, an engine does not take what the scene asks, a worker of this machine
-        cannot hold its largest system, or a file that systems come from is gone or another, or what functions of the
-        user's own measure of a run is not what they declare or differs from call to call; nothing was done.
-    AddressError
-        If no scheduler answers at the address; nothing was done.
-    ScheduleError
-        If the scheduler is lost, workers do not come up, or run another version.
+    ValueError, CacheError, StoreError
+        If `workers` is negative, others could write the kernel cache, or the directory cannot be used or written.
+    SceneError, AddressError, ScheduleError
+        If the scene cannot be run, on this machine or by these engines, or files and functions are not what it says,
+        or no scheduler answers (nothing was done); if it is lost, or workers do not come up or run another version.
     """
-    _check_caller(workers, scheduler)
     start = time.monotonic()
-    scene.check_size(yes)
-    if isinstance(scheduler, str):
-        check_address(scheduler)
-    scene.check_engines()
-    ends.check(scene)
-    if scheduler is None:
-        check_memory(scene, workers)
+    _check(scene, workers, scheduler, yes)
     rows = None if kept is None else KeptRows(open_dataset(kept))
     store = Store(out, scene, retry_failed, accept_version, () if rows is None else rows.opened.manifest.programs)
-    is_measured = rows is not None and scene.own_record in rows.opened.scene.records
-    if scene.own_record is not None and not is_measured:  # before anything is written
-        check_functions(scene, store.look()[1])
+    if scene.own_record is not None and (rows is None or scene.own_record not in rows.opened.scene.records):
+        check_functions(scene, store.look()[1])  # before anything is written
     with store:
         runs = [task[0].members if rows is None else rows.left(task) for task in store.todo]
         firsts = [member for members in runs for member in members.firsts()]
         _look_at_origins(firsts, scene.own_functions if firsts else ())
-
-        def order(task: Task) -> Order:
-            return (*task, None if rows is None else rows.of(task))
-
-        _Filling(store, firsts, Workers(workers, scheduler, dashboard), on_progress, start)(order)
+        fill = _Filling(store, firsts, Workers(workers, scheduler, dashboard), on_progress, start)
+        fill(lambda task: (*task, None if rows is None else rows.of(task)))
     return counted(store.opened, store.tasks)
 
 
@@ -161,11 +136,8 @@ def _look_at_origins(firsts: Sequence[Member], functions: Iterable[OwnFunction])
         systems.read_measured(series)
 
 
-def _check_caller(workers: int, scheduler: Scheduling) -> None:
-    """Refuse a number of workers that is none, and a worker that loads the caller's script.
-
-    Raises `ValueError` or `ScheduleError` as `run_ensemble`.
-    """
+def _check(scene: Scene, workers: int, scheduler: Scheduling, yes: bool) -> None:
+    """Refuse what cannot be run before anything is looked at or written; raises as `run_ensemble`."""
     if workers < 0:
         raise ValueError(f"workers: expected a count >= 0, got {workers}; 0 runs in this process")
     if getattr(current_process(), "_inheriting", False):
@@ -173,6 +145,13 @@ def _check_caller(workers: int, scheduler: Scheduling) -> None:
             'expected a scene to be run under if __name__ == "__main__":, got a script that runs it wherever it is '
             "loaded, and every worker loads it; write that line above the call"
         )
+    scene.check_size(yes)
+    if isinstance(scheduler, str):
+        check_address(scheduler)
+    scene.check_engines()
+    ends.check(scene)
+    if scheduler is None:
+        check_memory(scene, workers)
 
 
 class Workers(NamedTuple):
