@@ -114,21 +114,15 @@ def test_a_confidence_that_is_none_is_refused(level):
             ask()
 
 
-@pytest.mark.parametrize(
-    ("sums", "why"),
-    [
-        ([3, 1, 2, 5], r"expected numbers of shape \(matrices, 2\), got \[3, 1, 2, 5\]; make a row for each matrix"),
-        (
-            np.array([[3.0, 1, 2, 5]]),
-            r"expected numbers of shape \(matrices, 2\), got array\(\[\[3., 1., 2., 5.\]\]\)",
-        ),
-        ([[np.nan, 3.0]], "expected finite numbers, got nan in row 0, column 0"),
-        ([[9.0, 3.0], [3.0, np.inf]], "expected finite numbers, got inf in row 1, column 1"),
-        ([[3.0, -3.0]], "expected counts >= 0 in column 1, got -3 in row 0"),
-        ([[3.0, 5.0]], "expected sizes >= 1, whose total is at least their number, got a total of 3 for 5"),
-        ("abc", r"expected numbers of shape \(matrices, 2\), got 'abc'"),
-    ],
-)
+@pytest.mark.parametrize(("sums", "why"), [
+    ([3, 1, 2, 5], r"expected numbers of shape \(matrices, 2\), got \[3, 1, 2, 5\]; make a row for each matrix"),
+    (np.array([[3.0, 1, 2, 5]]), r"expected numbers of shape \(matrices, 2\), got array\(\[\[3., 1., 2., 5.\]\]\)"),
+    ([[np.nan, 3.0]], "expected finite numbers, got nan in row 0, column 0"),
+    ([[9.0, 3.0], [3.0, np.inf]], "expected finite numbers, got inf in row 1, column 1"),
+    ([[3.0, -3.0]], "expected counts >= 0 in column 1, got -3 in row 0"),
+    ([[3.0, 5.0]], "expected sizes >= 1, whose total is at least their number, got a total of 3 for 5"),
+    ("abc", r"expected numbers of shape \(matrices, 2\), got 'abc'"),
+])  # fmt: skip
 def test_what_is_no_sums_of_sizes_is_refused(sums, why):
     with pytest.raises(ValueError, match=f"^sums: {why}"):
         gamma(sums)

@@ -207,65 +207,44 @@ YES = Level(SIZE, Estimate(3.0))
 A = partial(Answer, findings=[YES])
 
 
-@pytest.mark.parametrize(
-    ("found", "words"),
-    [
-        (None, r"expected a stickslip.analysis.Answer, got None; if .* return Answer\(findings=\[Lack\("),
-        ("It is long.", r"expected a stickslip.analysis.Answer, got a str; return Answer\(findings=\[Level\("),
-        (Answer(), r"findings: expected the answer first, got none; return Answer\(findings=\[Level\("),
-        (Answer({"sentence": "Yes."}), r"findings: expected a list, got a dict; write"),
-        (Answer(findings=YES), r"findings: expected a list, got a Level; write"),
-        (A(n_lead=4), r"n_lead: expected 1 to 3, got 4; correct it"),
-        (Answer(findings=["Yes."]), r"findings\[0\]: expected Level or Change or .*, got a str"),
-        (
-            Answer(findings=[YES, Level("size", Estimate(3.0))]),
-            r"\[1\].quantity: expected Quantity, got a str",
-        ),
-        (Answer(findings=[Level(SIZE, 3.0)]), r"findings\[0\].estimate: expected Estimate, got a float"),
-        (Answer(findings=[Level(SIZE, Estimate())]), r"\[0\].estimate: expected a value, got Estimate\(no .* a Lack"),
-        (
-            Answer(findings=[Level(SIZE, Estimate(np.inf))]),
-            r"estimate.value: expected a finite number, got inf",
-        ),
-        (Answer(findings=[Lack("it", "why")]), r"findings\[0\].reason: expected Reason, got a str"),
-        (
-            Answer(findings=[Level(SIZE, Estimate(3.0), basis=Basis(True))]),
-            r"n: expected an integer, got a bool",
-        ),
-        (Answer(findings=[Level(SIZE, Estimate(3.0), 4)]), r"findings\[0\].where: expected Place, got an int"),
-        (Answer(findings=[Outcomes("it", "h")]), r"findings\[0\].equal: expected a list, got a str"),
-        (A(alerts=["!"]), r"alerts\[0\]: expected an Alert, got a str; write Alert.of\(Code.FEW, n=3"),
-        (A(alerts=[Alert.of(Code.FEW, n=3)]), r"alerts\[0\]: expected the numbers of '.*', got 'units'; add them"),
-        (A(paragraph=3), r"paragraph: expected a text, got an int"),
-        (A(tables=pd.DataFrame()), r"tables: expected a dictionary, got a DataFrame"),
-        (A(tables={"a/b": pd.DataFrame()}), r"tables: expected names of letters, .*, got 'a/b'; rename it"),
-        (A(figures={"..": 3}), r"figures: expected names of letters, digits and underscores, got '\.\.'"),
-        (A(figures={"a" * 250: 3}), r"figures: expected names of at most 40 letters, got aaa.*; shorten it"),
-    ],
-)
+@pytest.mark.parametrize(("found", "words"), [
+    (None, r"expected a stickslip.analysis.Answer, got None; if .* return Answer\(findings=\[Lack\("),
+    ("It is long.", r"expected a stickslip.analysis.Answer, got a str; return Answer\(findings=\[Level\("),
+    (Answer(), r"findings: expected the answer first, got none; return Answer\(findings=\[Level\("),
+    (Answer({"sentence": "Yes."}), r"findings: expected a list, got a dict; write"),
+    (Answer(findings=YES), r"findings: expected a list, got a Level; write"),
+    (A(n_lead=4), r"n_lead: expected 1 to 3, got 4; correct it"),
+    (Answer(findings=["Yes."]), r"findings\[0\]: expected Level or Change or .*, got a str"),
+    (Answer(findings=[YES, Level("size", Estimate(3.0))]), r"\[1\].quantity: expected Quantity, got a str"),
+    (Answer(findings=[Level(SIZE, 3.0)]), r"findings\[0\].estimate: expected Estimate, got a float"),
+    (Answer(findings=[Level(SIZE, Estimate())]), r"\[0\].estimate: expected a value, got Estimate\(no .* a Lack"),
+    (Answer(findings=[Level(SIZE, Estimate(np.inf))]), r"estimate.value: expected a finite number, got inf"),
+    (Answer(findings=[Lack("it", "why")]), r"findings\[0\].reason: expected Reason, got a str"),
+    (Answer(findings=[Level(SIZE, Estimate(3.0), basis=Basis(True))]), r"n: expected an integer, got a bool"),
+    (Answer(findings=[Level(SIZE, Estimate(3.0), 4)]), r"findings\[0\].where: expected Place, got an int"),
+    (Answer(findings=[Outcomes("it", "h")]), r"findings\[0\].equal: expected a list, got a str"),
+    (A(alerts=["!"]), r"alerts\[0\]: expected an Alert, got a str; write Alert.of\(Code.FEW, n=3"),
+    (A(alerts=[Alert.of(Code.FEW, n=3)]), r"alerts\[0\]: expected the numbers of '.*', got 'units'; add them"),
+    (A(paragraph=3), r"paragraph: expected a text, got an int"),
+    (A(tables=pd.DataFrame()), r"tables: expected a dictionary, got a DataFrame"),
+    (A(tables={"a/b": pd.DataFrame()}), r"tables: expected names of letters, .*, got 'a/b'; rename it"),
+    (A(figures={"..": 3}), r"figures: expected names of letters, digits and underscores, got '\.\.'"),
+    (A(figures={"a" * 250: 3}), r"figures: expected names of at most 40 letters, got aaa.*; shorten it"),
+])  # fmt: skip
 def test_what_is_no_answer_is_refused(found, words):
     with pytest.raises(OwnError, match=words):
         own(found)
 
 
-@pytest.mark.parametrize(
-    ("found", "words"),
-    [
-        (A(tables={"a": [1]}), r"tables\['a'\]: expected a pandas.DataFrame, got a list"),
-        (A(tables={"a": pd.DataFrame([[1]])}), r"tables\['a'\]: expected columns with different names, got"),
-        (A(tables={"a": pd.DataFrame({"x": [1, "b"]})}), r"tables\['a'\]: column 'x': .*, got int, str"),
-        (A(tables={"a": pd.DataFrame({"x": [[1]]})}), r"tables\['a'\]: column 'x': .*, got list"),
-        (A(tables={"a": pd.DataFrame({"x": [np.inf]})}), r"expected finite numbers, got inf; write None"),
-        (
-            A(figures={"a": Picture(figure_of_nothing, "A")}),
-            r"figures\['a'\]: expected a .*Figure, .* an int",
-        ),
-        (
-            A(figures={"a": figure_of_nothing}),
-            r"expected a Picture\(recipe, caption\), got a function",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("found", "words"), [
+    (A(tables={"a": [1]}), r"tables\['a'\]: expected a pandas.DataFrame, got a list"),
+    (A(tables={"a": pd.DataFrame([[1]])}), r"tables\['a'\]: expected columns with different names, got"),
+    (A(tables={"a": pd.DataFrame({"x": [1, "b"]})}), r"tables\['a'\]: column 'x': .*, got int, str"),
+    (A(tables={"a": pd.DataFrame({"x": [[1]]})}), r"tables\['a'\]: column 'x': .*, got list"),
+    (A(tables={"a": pd.DataFrame({"x": [np.inf]})}), r"expected finite numbers, got inf; write None"),
+    (A(figures={"a": Picture(figure_of_nothing, "A")}), r"figures\['a'\]: expected a .*Figure, .* an int"),
+    (A(figures={"a": figure_of_nothing}), r"expected a Picture\(recipe, caption\), got a function"),
+])  # fmt: skip
 def test_a_figure_or_table_that_cannot_be_shown_is_left_out(found, words):
     made = own(found)
     (line,) = made.missing

@@ -237,19 +237,13 @@ def test_from_an_object_store_into_a_directory_and_back(plain, tmp_path):
 # ------------------------------------------------------------------------------------------ refusals
 
 
-@pytest.mark.parametrize(
-    ("keys", "words"),
-    [
-        ({"waitings": True}, r"record\.waitings: unknown key of \[record\].*did you mean 'waiting'"),
-        ({"waiting": True, "dt": 0.1}, r"record\.dt: expected only with some of"),
-        ({"amplitude": True}, r"record\.dt: expected with `amplitude`, found nothing"),
-        (
-            {"events": True},
-            r"record: expected a record that the data lack, got events, which they have; name",
-        ),
-        ({"waiting": True, "t_burn": 90.0}, r"record\.t_burn: expected less than run\.t_end"),
-    ],
-)
+@pytest.mark.parametrize(("keys", "words"), [
+    ({"waitings": True}, r"record\.waitings: unknown key of \[record\].*did you mean 'waiting'"),
+    ({"waiting": True, "dt": 0.1}, r"record\.dt: expected only with some of"),
+    ({"amplitude": True}, r"record\.dt: expected with `amplitude`, found nothing"),
+    ({"events": True}, r"record: expected a record that the data lack, got events, which they have; name"),
+    ({"waiting": True, "t_burn": 90.0}, r"record\.t_burn: expected less than run\.t_end"),
+])  # fmt: skip
 def test_keys_that_cannot_be_added_are_refused_and_nothing_is_written(keys, words, plain, tmp_path):
     with pytest.raises(SceneError, match=words):
         extend(plain, keys, tmp_path / "out", workers=0)

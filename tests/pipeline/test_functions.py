@@ -368,30 +368,18 @@ def test_scenes_in_other_folders_keep_their_modules_apart(tmp_path, monkeypatch)
         assert sys.modules["beside"] is callers
 
 
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        (
-            "import os; return System(gap * np.frombuffer(os.urandom(n * n), np.uint8).reshape(n, n), 0.1)",
-            "that differ",
-        ),
-        (
-            "import os; return System(np.eye(n), 0.1, 1.0 + int.from_bytes(os.urandom(6), 'big'))",
-            "that differ",
-        ),
-        (
-            "return System(np.eye(n), np.eye(n) + int.from_bytes(os.urandom(6)) * (1.0 - np.eye(n)))",
-            "that differ",
-        ),
-        ("return System(SEED * np.eye(n), 0.1)", "that differ"),
-        ("import os; os.fork(); return System(np.eye(n), 0.1)", "may not fork"),
-        ("raise type('Odd', (Exception,), {'__str__': lambda self: 7})", "Odd: its message cannot be had (Type"),
-        ("raise KeyboardInterrupt", "KeyboardInterrupt"),
-        ("raise ValueError('\\x1b[31mred\\x07' + 'x' * 1000)", r"ValueError: \x1b[31mred\x07xxx"),
-        ("import time; time.sleep(60)", "within 1 s, its process died (signal SIGKILL)"),
-        ("import os; os._exit(3)", "exit code 3"),
-    ],
-)
+@pytest.mark.parametrize(("line", "words"), [
+    ("import os; return System(gap * np.frombuffer(os.urandom(n * n), np.uint8).reshape(n, n), 0.1)", "that differ"),
+    ("import os; return System(np.eye(n), 0.1, 1.0 + int.from_bytes(os.urandom(6), 'big'))", "that differ"),
+    ("return System(np.eye(n), np.eye(n) + int.from_bytes(os.urandom(6)) * (1.0 - np.eye(n)))", "that differ"),
+    ("return System(SEED * np.eye(n), 0.1)", "that differ"),
+    ("import os; os.fork(); return System(np.eye(n), 0.1)", "may not fork"),
+    ("raise type('Odd', (Exception,), {'__str__': lambda self: 7})", "Odd: its message cannot be had (Type"),
+    ("raise KeyboardInterrupt", "KeyboardInterrupt"),
+    ("raise ValueError('\\x1b[31mred\\x07' + 'x' * 1000)", r"ValueError: \x1b[31mred\x07xxx"),
+    ("import time; time.sleep(60)", "within 1 s, its process died (signal SIGKILL)"),
+    ("import os; os._exit(3)", "exit code 3"),
+])  # fmt: skip
 def test_a_function_that_misbehaves_when_it_is_tried_is_refused_in_a_line(line, words, tmp_path, monkeypatch):
     monkeypatch.setattr(trial, "LONGEST_TRIAL", 1.0 if "sleep" in line else 40.0)
     head = "import os\nimport numpy as np\nfrom stickslip import System\nSEED = 1.0 + int.from_bytes(os.urandom(6))\n"

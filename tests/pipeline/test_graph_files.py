@@ -112,36 +112,27 @@ def test_a_graph_that_changed_is_another_scene(graph, tmp_path):
 BOMB = b'<!DOCTYPE g [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
 
 
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (BOMB + GRAPHML.format(NODES).encode(), "no document type, which could declare entities"),
-        (GRAPHML.format(NODES).replace('"undirected"', '"directed"').encode(), "got a directed graph"),
-        (
-            GRAPHML.format(NODES.replace("<edge", '<edge directed="true"')).encode(),
-            "undirected edges, got a directed",
-        ),
-        (GRAPHML.format(NODES.replace('"b"/><edge', '"c"/><edge')).encode(), "edges between nodes, got 'b'"),
-        (GRAPHML.format(NODES + "<hyperedge/>").encode(), "got a hyperedge"),
-        (GRAPHML.format(NODES + NODES).encode(), "each node once, got 'a' twice"),
-        (
-            GRAPHML.format(NODES.replace('<node id="a"/>', '<node id="a"/>' * 2)).encode(),
-            "each node once, got 'a' twice",
-        ),
-        (b"<graphml/>", "expected one graph, got none"),
-        (GRAPHML.format(NODES).replace("</graph>", "</graph><graph/>").encode(), "one graph, got more"),
-        (GRAPHML.format(NODES).encode()[:-30], "no element found|unclosed token|mismatched"),
-        (b"", "something else"),
-        (b"i,j\n", "something else"),
-        (b"0,1\n1,2,3\n", "expected 3 columns, as in the last line, got 0, 1"),
-        (b"0 1 {'weight': 1.0}\n", "data=False"),
-        (b"1,2\n2,3\n", "blocks counted from 0"),
-        (b"0,99999999\n", "expected at most"),
-        (b"0,x\n", "something else"),
-        (b"\xff\xfe0", "something else"),
-        (b"0 1 1 0\n1 0 0 1\n1 0 0 1\n0 1 2 0\n", "symmetric adjacency"),
-    ],
-)
+@pytest.mark.parametrize(("content", "words"), [
+    (BOMB + GRAPHML.format(NODES).encode(), "no document type, which could declare entities"),
+    (GRAPHML.format(NODES).replace('"undirected"', '"directed"').encode(), "got a directed graph"),
+    (GRAPHML.format(NODES.replace("<edge", '<edge directed="true"')).encode(), "undirected edges, got a directed"),
+    (GRAPHML.format(NODES.replace('"b"/><edge', '"c"/><edge')).encode(), "edges between nodes, got 'b'"),
+    (GRAPHML.format(NODES + "<hyperedge/>").encode(), "got a hyperedge"),
+    (GRAPHML.format(NODES + NODES).encode(), "each node once, got 'a' twice"),
+    (GRAPHML.format(NODES.replace('<node id="a"/>', '<node id="a"/>' * 2)).encode(), "each node once, got 'a' twice"),
+    (b"<graphml/>", "expected one graph, got none"),
+    (GRAPHML.format(NODES).replace("</graph>", "</graph><graph/>").encode(), "one graph, got more"),
+    (GRAPHML.format(NODES).encode()[:-30], "no element found|unclosed token|mismatched"),
+    (b"", "something else"),
+    (b"i,j\n", "something else"),
+    (b"0,1\n1,2,3\n", "expected 3 columns, as in the last line, got 0, 1"),
+    (b"0 1 {'weight': 1.0}\n", "data=False"),
+    (b"1,2\n2,3\n", "blocks counted from 0"),
+    (b"0,99999999\n", "expected at most"),
+    (b"0,x\n", "something else"),
+    (b"\xff\xfe0", "something else"),
+    (b"0 1 1 0\n1 0 0 1\n1 0 0 1\n0 1 2 0\n", "symmetric adjacency"),
+])  # fmt: skip
 def test_what_is_no_graph_is_refused_with_a_reason(content, words, tmp_path):
     (tmp_path / "G").write_bytes(content)
     with pytest.raises(SceneError, match=rf"G: expected a graph: rows i, j .*(?:{words}).*; correct|got none"):

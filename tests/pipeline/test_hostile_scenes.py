@@ -20,10 +20,8 @@ SCENES = {
     "dots of a table": (f"{SCENE}[a{' . a' * MANY}]", "expected a key of at most 20 parts"),
     "dots between quotes": ("a = {" + '"a".' * MANY + "a = 1}\n" + SCENE, "line 1: expected a key of at most"),
     "lines": ("\n" * MANY + SCENE, "expected at most 100000 lines, got "),
-    "keys": (
-        f"{SCENE}x = {{{', '.join(f'k{k} = 1' for k in range(5000))}}}",
-        "analysis.x: expected at most 1000 keys",
-    ),
+    "keys": (f"{SCENE}x = {{{', '.join(f'k{k} = 1' for k in range(5000))}}}",
+        "analysis.x: expected at most 1000 keys"),
     "tables": (SCENE + f"[[engine]]\n{COULOMB}\n" * 2000, "engine: expected at most 1000 tables, got 2001"),
     "bytes": (f'title = "{"x" * 5_000_000}"\n{SCENE}', "expected at most 4000000 bytes"),
     "brackets": (f"title = {'[' * MANY}\n{SCENE}", "expected TOML"),
@@ -32,23 +30,14 @@ SCENES = {
     "all files": (OF_FILES.format("/**/*"), "system.path: expected no **, got '/**/*'; write * for each folder"),
     "all directories": (OF_FILES.format("/*/*/*/*/*/*/x*"), "system.path: expected at most 10000 files, among 1"),
     "a long pattern": (OF_FILES.format("*a" * 3000), "system.path: expected a file, or several by a pattern"),
-    "a key that is a command to a terminal": (
-        SCENE + '["\\u001b[31m\\n"]\n',
-        r"\x1b[31m: unknown key of a scene",
-    ),
-    "a hexadecimal seed without an end": (
-        SCENE.replace("[run]\n", f"[run]\nseed = 0x{'f' * 100_000}\n"),
-        "expected TOML",
-    ),
-    "a long name": (
-        SCENE.replace("z = -0.7\nw = -0.4", f'dataset = "{"../" * MANY}"'),
-        "start.dataset: expected a path, got OSError",
-    ),
-    "a name that no path has": (
-        SCENE.replace("z = -0.7\nw = -0.4", 'dataset = "a\\u0000"'),
-        "start.dataset: expected a path, got ValueError",
-    ),
-}
+    "a key that is a command to a terminal": (SCENE + '["\\u001b[31m\\n"]\n', r"\x1b[31m: unknown key of a scene"),
+    "a hexadecimal seed without an end": (SCENE.replace("[run]\n", f"[run]\nseed = 0x{'f' * 100_000}\n"),
+        "expected TOML"),
+    "a long name": (SCENE.replace("z = -0.7\nw = -0.4", f'dataset = "{"../" * MANY}"'),
+        "start.dataset: expected a path, got OSError"),
+    "a name that no path has": (SCENE.replace("z = -0.7\nw = -0.4", 'dataset = "a\\u0000"'),
+        "start.dataset: expected a path, got ValueError"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", SCENES)

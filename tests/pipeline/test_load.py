@@ -77,21 +77,14 @@ def test_what_has_no_meaning_is_refused_when_the_scene_is_read(change, words):
 UNIFORM = "{uniform = [1.1, 1.5]}"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ('"coulomb"\ntol = 1e-8', '"sigmoid"\neps = 1e-4', r"engine\[0\]: .*exact law with load .*sig"),
-        (f"static = {UNIFORM}\n", "", r"system\.static: expected above .* got none"),
-        (UNIFORM, "[{ratio = 1.0}, {ratio = 1.2}]", r"system\.static: expected above .* got 1 times"),
-        (UNIFORM, '1.2\nweakening = {law = "stribeck", speed = 0.5}', r"system\.weakening: .*stribeck"),
-        ("-0.001", "[-0.001, 0.0]", r"system\.belt_speed: expected one that loads .* got 0"),
-        (
-            "-0.001",
-            "-0.001\nforce = {amplitude = 1.0, frequency = 1.0, phase = 0.0}",
-            r"system\.force: expected none",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ('"coulomb"\ntol = 1e-8', '"sigmoid"\neps = 1e-4', r"engine\[0\]: .*exact law with load .*sig"),
+    (f"static = {UNIFORM}\n", "", r"system\.static: expected above .* got none"),
+    (UNIFORM, "[{ratio = 1.0}, {ratio = 1.2}]", r"system\.static: expected above .* got 1 times"),
+    (UNIFORM, '1.2\nweakening = {law = "stribeck", speed = 0.5}', r"system\.weakening: .*stribeck"),
+    ("-0.001", "[-0.001, 0.0]", r"system\.belt_speed: expected one that loads .* got 0"),
+    ("-0.001", "-0.001\nforce = {amplitude = 1.0, frequency = 1.0, phase = 0.0}", r"system\.force: expected none"),
+])  # fmt: skip
 def test_what_cannot_be_loaded_is_refused_before_a_run(old, new, words, tmp_path):
     scene = parse_scene(SCENE.replace(old, new))
     with pytest.raises(SceneError, match=words):

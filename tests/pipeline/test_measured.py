@@ -118,29 +118,15 @@ def test_what_does_not_slip_has_no_waiting_times(tmp_path):
     assert row["amplitude"] == pytest.approx(0.01 * 15 / 2, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("asked", "words", "match"),
-    [
-        (
-            ("amplitude",),
-            {"dt = DT\n": ""},
-            r"record.dt: expected with `amplitude`, found nothing; write e.g. dt = 0",
-        ),
-        (("first_exit",), {"dt = DT\n": ""}, r"record.t_burn: expected only with some of .*stick_share.*; remove it"),
-        (("waiting",), {}, r"record.dt: expected only with some of amplitude, slip_speed.*, found none; remove it"),
-        (
-            ("waiting",),
-            {"dt = DT\n": "", "BURN": 30.0},
-            r"record.t_burn: expected less than run.t_end = 20.0, got 30",
-        ),
-        (("amplitude",), {"DT": 1e-9}, r"record.dt: expected at least 2e-06, run.t_end / 10000000, got 1e-09"),
-        (
-            ("friction_power",),
-            {'"coulomb"\ntol = 1e-10': '"sigmoid"\neps = 0.01'},
-            r"record.friction_power: expected an engine of",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("asked", "words", "match"), [
+    (("amplitude",), {"dt = DT\n": ""}, r"record.dt: expected with `amplitude`, found nothing; write e.g. dt = 0"),
+    (("first_exit",), {"dt = DT\n": ""}, r"record.t_burn: expected only with some of .*stick_share.*; remove it"),
+    (("waiting",), {}, r"record.dt: expected only with some of amplitude, slip_speed.*, found none; remove it"),
+    (("waiting",), {"dt = DT\n": "", "BURN": 30.0}, r"record.t_burn: expected less than run.t_end = 20.0, got 30"),
+    (("amplitude",), {"DT": 1e-9}, r"record.dt: expected at least 2e-06, run.t_end / 10000000, got 1e-09"),
+    (("friction_power",), {'"coulomb"\ntol = 1e-10': '"sigmoid"\neps = 0.01'},
+        r"record.friction_power: expected an engine of"),
+])  # fmt: skip
 def test_what_does_not_apply_is_refused(asked, words, match):
     usual = {"BLOCKS": 1, "STATIC": 1.3, "SPEED": 0.1, "START": 0.0, "END": 20.0, "BURN": 5.0, "DT": 0.1, "SEED": 0}
     with pytest.raises(SceneError, match=match):

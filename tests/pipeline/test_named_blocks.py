@@ -76,31 +76,24 @@ def test_names_of_files_and_functions_are_those_of_the_scene(tmp_path):
         assert next(iter(expand(loaded))).system().names == tuple(NAMES)
 
 
-@pytest.mark.parametrize(
-    ("system", "record", "why"),
-    [
-        ({"names": ["a", "b"]}, {}, "one for each of 3 blocks, got 2"),
-        ({"names": ["a", "b", "A"]}, {}, "each once, whatever its case"),
-        ({"names": ["a", "b", "x'; DROP TABLE members --"]}, {}, "a letter, then letters, digits and _"),
-        ({"names": ["a", "b", "2nd"]}, {}, "rename that block"),
-        ({"names": ["a", "b", "c" * 41]}, {}, "40 at most"),
-        ({"names": ["a", "b", "c" * 100_000]}, {}, "40 at most"),
-        ({}, {"amplitude": ["c" * 100_000]}, "one of table"),
-        ({"names": ["a", "b", 3]}, {}, "string"),
-        ({"n": [3, 4]}, {}, "one for each of 4 blocks, got 3"),
-        ({}, {"amplitude": ["bite"]}, "did you mean 'bit'?"),
-        ({}, {"amplitude": []}, "names of blocks"),
-        ({}, {"amplitude": ["bit", "bit"]}, "each value once"),
-        ({"names": None}, {"amplitude": ["bit"]}, "have no names"),
-        ({"names": ["a", "b", "mean"]}, {"amplitude": ["mean"]}, "a column of the data has it"),
-        (
-            {"force": {"amplitude": 1.0, "frequency": 1.0, "blocks": ["top"]}},
-            {},
-            "force.blocks: expected one of table",
-        ),
-        ({"force": {"amplitude": 1.0, "frequency": 1.0, "blocks": ["bit", 2]}}, {}, "each block once"),
-    ],
-)
+@pytest.mark.parametrize(("system", "record", "why"), [
+    ({"names": ["a", "b"]}, {}, "one for each of 3 blocks, got 2"),
+    ({"names": ["a", "b", "A"]}, {}, "each once, whatever its case"),
+    ({"names": ["a", "b", "x'; DROP TABLE members --"]}, {}, "a letter, then letters, digits and _"),
+    ({"names": ["a", "b", "2nd"]}, {}, "rename that block"),
+    ({"names": ["a", "b", "c" * 41]}, {}, "40 at most"),
+    ({"names": ["a", "b", "c" * 100_000]}, {}, "40 at most"),
+    ({}, {"amplitude": ["c" * 100_000]}, "one of table"),
+    ({"names": ["a", "b", 3]}, {}, "string"),
+    ({"n": [3, 4]}, {}, "one for each of 4 blocks, got 3"),
+    ({}, {"amplitude": ["bite"]}, "did you mean 'bit'?"),
+    ({}, {"amplitude": []}, "names of blocks"),
+    ({}, {"amplitude": ["bit", "bit"]}, "each value once"),
+    ({"names": None}, {"amplitude": ["bit"]}, "have no names"),
+    ({"names": ["a", "b", "mean"]}, {"amplitude": ["mean"]}, "a column of the data has it"),
+    ({"force": {"amplitude": 1.0, "frequency": 1.0, "blocks": ["top"]}}, {}, "force.blocks: expected one of table"),
+    ({"force": {"amplitude": 1.0, "frequency": 1.0, "blocks": ["bit", 2]}}, {}, "each block once"),
+])  # fmt: skip
 def test_names_that_are_no_names_are_refused(system, record, why):
     with pytest.raises(SceneError, match=r"names|amplitude|blocks") as error:
         scene(system=system, record=record)

@@ -197,23 +197,18 @@ def workbook():
     return stream.getvalue()
 
 
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (b"\x89HDF\r\n\x1a\n" + bytes(64), ("an HDF5 file", "h5py.File(")),
-        (
-            b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n",
-            ("a MATLAB file of version 7.3, which is HDF5: in MATLAB save it with -v7", '["K"][...].T'),
-        ),
-        (bytes(512) + b"\x89HDF\r\n\x1a\n", ("an HDF5 file", "h5py.File(")),
-        (b"CDF\x01" + bytes(64), ("a NetCDF file", "netcdf_file")),
-        (workbook(), ("a workbook", "read_excel")),
-        (b"\xd0\xcf\x11\xe0" + bytes(64), ("an Excel file", "read_excel")),
-        (b"a = 1\n[b]\nc = 2\n", ("something else", "correct the file")),
-        (bytes(range(256)), ("something else", "correct the file")),
-        (b"", ("it is empty",)),
-    ],
-)
+@pytest.mark.parametrize(("content", "words"), [
+    (b"\x89HDF\r\n\x1a\n" + bytes(64), ("an HDF5 file", "h5py.File(")),
+    (b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n",
+        ("a MATLAB file of version 7.3, which is HDF5: in MATLAB save it with -v7", '["K"][...].T')),
+    (bytes(512) + b"\x89HDF\r\n\x1a\n", ("an HDF5 file", "h5py.File(")),
+    (b"CDF\x01" + bytes(64), ("a NetCDF file", "netcdf_file")),
+    (workbook(), ("a workbook", "read_excel")),
+    (b"\xd0\xcf\x11\xe0" + bytes(64), ("an Excel file", "read_excel")),
+    (b"a = 1\n[b]\nc = 2\n", ("something else", "correct the file")),
+    (bytes(range(256)), ("something else", "correct the file")),
+    (b"", ("it is empty",)),
+])  # fmt: skip
 def test_what_cannot_be_tried_here_is_named(content, words, tmp_path):
     (tmp_path / "K").write_bytes(content)
     said = message(tmp_path / "K")

@@ -333,53 +333,39 @@ def test_a_time_says_since_when_and_is_no_longer_than_its_run(since, longest, te
 #: What is wrong with a module, and words of the refusal when its scene is read.
 UNREADABLE = {
     "no module": (None, ["the module 'mine' beside the scene", "mine.py"]),
-    "no function": (
-        one("").replace("def one", "def once") + "    pass\n",
-        ["a function 'one'", "did you mean 'once'"],
-    ),
+    "no function": (one("").replace("def one", "def once") + "    pass\n",
+        ["a function 'one'", "did you mean 'once'"]),
     "syntax": ("def one(:\n", ["SyntaxError"]),
     "import": (one("return 1", head="import nonesuch_at_all\n"), ["ModuleNotFoundError", "nonesuch_at_all"]),
     "no annotation": (one("return 1").replace(" -> Measured", ""), ["to declare that it returns", "got none"]),
     "a number": (one("return 1").replace(" -> Measured", " -> float"), ["to declare that it returns", "got float"]),
-    "no note": (
-        one("return 1", note='{"mode": 1}'),
-        ["'least', 'most', 'absent', 'since' or 'dimension' for own", "'mode'"],
-    ),
-    "no dimension": (
-        one("return 1.0", "float", note='{"dimension": "size"}'),
-        ["one of time, length, mass,", "as 'dimension' of own, got 'size'"],
-    ),
+    "no note": (one("return 1", note='{"mode": 1}'),
+        ["'least', 'most', 'absent', 'since' or 'dimension' for own", "'mode'"]),
+    "no dimension": (one("return 1.0", "float", note='{"dimension": "size"}'),
+        ["one of time, length, mass,", "as 'dimension' of own, got 'size'"]),
     "a count": (one("return 1", "int", note='{"dimension": "length"}'), ["as 'dimension' of own, got a int"]),
-    "most alone": (
-        one("return 1", note='{"most": 1}'),
-        ["'most' of own, with 'least' 0", "got another 'least', or none"],
-    ),
+    "most alone": (one("return 1", note='{"most": 1}'),
+        ["'most' of own, with 'least' 0", "got another 'least', or none"]),
     "no most": (one("return 1", note='{"least": 0, "most": 0}'), ["a number > 0 as 'most' of own", "got 0"]),
     "no least": (one("return 1", note='{"least": "0"}'), ["a finite number as 'least' of own", "got '0'"]),
     "least text": (one("return 1", "str", note='{"least": 0}'), ["a finite number as 'least' of own", "got a str"]),
     "never absent": (one("return 1", note='{"absent": "none"}'), ["words as 'absent' of own", "`| None`"]),
-    "no start": (
-        one("return 1", "float | None", note='{"since": -1}'),
-        ["a time >= 0, or \"t_burn\", as 'since' of own", "got -1"],
-    ),
+    "no start": (one("return 1", "float | None", note='{"since": -1}'),
+        ["a time >= 0, or \"t_burn\", as 'since' of own", "got -1"]),
     "always there": (one("return 1", note='{"since": 0}'), ["as 'since' of own", "float | None, got another type"]),
-    "no words": (
-        one("return 1").replace('Annotated[float, "mine", {}]', "float"),
-        ["expected words for own", "'none'"],
-    ),
+    "no words": (one("return 1").replace('Annotated[float, "mine", {}]', "float"),
+        ["expected words for own", "'none'"]),
     "a list": (one("return 1", "list[float]"), ["float, int, bool, str for own", "got list"]),
     "two types": (one("return 1", "int | str"), ["float, int, bool, str for own"]),
     "unknown type": (one("return 1", "'Nowhere'"), ["annotations cannot be read", "Nowhere"]),
     "arguments": (one("return 1").replace("(run, system, window)", "(run)"), ["(run, system, window)", "got (run)"]),
     "a column": (one("return 1").replace("own:", "N_Events:"), ["record.own", "'N_Events'", "a column of the data"]),
     "a key": (one("return 1").replace("own:", "Kappa:"), ["record.own", "'Kappa'", "choose another"]),
-    "another": (
-        one("return 1").replace("    own:", "    OWN: Annotated[int, 'x']\n    own:"),
-        ["another field has it"],
-    ),
+    "another": (one("return 1").replace("    own:", "    OWN: Annotated[int, 'x']\n    own:"),
+        ["another field has it"]),
     "a dimension": (one("return 1").replace("own:", "change:"), ["record.own", "'change'", "a dimension in NetCDF"]),
     "its own": (one("return 1").replace("own:", "own_problem:"), ["record.own", "'own_problem'"]),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", UNREADABLE)

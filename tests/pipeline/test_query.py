@@ -103,29 +103,23 @@ MEMBER = "^member_id: expected "
 VIEWS = "a query reads shards, members, n_stick, cascades, events, and nothing else"
 
 
-@pytest.mark.parametrize(
-    ("ask", "words"),
-    [
-        (
-            lambda path: query.members(path, columns=["egine"]),
-            "^columns: expected .* got 'egine'; did you mean 'engine'",
-        ),
-        (lambda path: query.dask_members(path, ["colour"]), "^columns: expected columns .* got 'colour'"),
-        (lambda path: query.members(path, filters=[("colour", "=", 5)]), CONDITION),
-        (lambda path: query.members(path, filters=("n", "==", 5)), CONDITION + "write a list of tuples"),
-        (lambda path: query.members(path, filters=5), CONDITION + "write a list of tuples"),
-        (of_member("n5-m001-coulomb"), MEMBER + ".* got 'n5-m001-coulomb'; did you mean 'n5-m00"),
-        (of_member("x"), MEMBER + r".*there are n3-m000-coulomb.*, \.\.\.$"),
-        (of_member(0), MEMBER + "the name of a member, got 0; `members`"),
-        (of_member(None), MEMBER + "the name of a member, got None; `members`"),
-        (sql("COPY members TO 'x.csv'"), r"expected a SELECT, got COPY: a dataset is read.*--out"),
-        (sql("SELECT 1; SELECT 2"), "expected one SELECT, got 2 statements"),
-        (sql("  "), "got nothing; try SELECT"),
-        (sql("SELECT * FROM read_csv('/etc/passwd')"), VIEWS),
-        (sql("SELECT * FROM member"), VIEWS),
-        (sql("SELECT colour FROM members"), "query: .*colour"),  # the database's own words
-    ],
-)
+@pytest.mark.parametrize(("ask", "words"), [
+    (lambda path: query.members(path, columns=["egine"]), "^columns: expected .* got 'egine'; did you mean 'engine'"),
+    (lambda path: query.dask_members(path, ["colour"]), "^columns: expected columns .* got 'colour'"),
+    (lambda path: query.members(path, filters=[("colour", "=", 5)]), CONDITION),
+    (lambda path: query.members(path, filters=("n", "==", 5)), CONDITION + "write a list of tuples"),
+    (lambda path: query.members(path, filters=5), CONDITION + "write a list of tuples"),
+    (of_member("n5-m001-coulomb"), MEMBER + ".* got 'n5-m001-coulomb'; did you mean 'n5-m00"),
+    (of_member("x"), MEMBER + r".*there are n3-m000-coulomb.*, \.\.\.$"),
+    (of_member(0), MEMBER + "the name of a member, got 0; `members`"),
+    (of_member(None), MEMBER + "the name of a member, got None; `members`"),
+    (sql("COPY members TO 'x.csv'"), r"expected a SELECT, got COPY: a dataset is read.*--out"),
+    (sql("SELECT 1; SELECT 2"), "expected one SELECT, got 2 statements"),
+    (sql("  "), "got nothing; try SELECT"),
+    (sql("SELECT * FROM read_csv('/etc/passwd')"), VIEWS),
+    (sql("SELECT * FROM member"), VIEWS),
+    (sql("SELECT colour FROM members"), "query: .*colour"),  # the database's own words
+])  # fmt: skip
 def test_what_cannot_be_asked_is_refused_in_words_that_help(ask, words, finished):
     with pytest.raises(QueryError, match=words):
         ask(finished)

@@ -84,36 +84,21 @@ def test_another_file_is_another_scene_and_is_not_run_for_the_old(file, scene):
         load_scene(scene)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ('stiffness = "K.csv", ', "", r"system\.path: expected a file for `stiffness`.*got those of damping, mass"),
-        ("damping =", "dampng =", r"system\.path"),
-        ("model.mat:Cd", "model.mat", r"system\.path\.damping: model\.mat: .*`damping` or `C`.* got Kd, Cd"),
-        ("model.mat:Cd", "model.mat:C", r"expected an array 'C', got Kd, Cd"),
-        ('columns = ["t", "F"], ', "", r"system\.force: log\.csv: .*expected two columns, got 3; name two"),
-        ('{table = "speed.csv"}', '[{table = "speed.csv"}]', r"drive\.speed: expected no course in a list"),
-        (
-            '{table = "speed.csv"}',
-            '{table = "M.csv"}',
-            r"system\.drive\.speed: M\.csv: .*two columns, got 1",
-        ),
-        ('{table = "speed.csv"}', "{table = 3}", r"drive\.speed: expected the name of a file of two columns"),
-        (
-            '{table = "log.csv"',
-            '{times = [0.0], table = "log.csv"',
-            r"system\.force: expected amplitude and",
-        ),
-        ("friction = 0.5", 'friction = {table = "speed.csv"}', r"system\.friction: expected"),
-        ("damping = ", "C = ", r"system\.path: expected files of stiffness, .* got one of 'C'"),
-        (
-            'damping = "model.mat:Cd", ',
-            "",
-            r"system\.damping: expected that .* K is in K\.csv, found none there; add",
-        ),
-        ("t_end = 8.0", "t_end = 8.5", r"force: log\.csv: expected values from 0 to t_end = 8\.5, .* 0 to 8; take"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ('stiffness = "K.csv", ', "", r"system\.path: expected a file for `stiffness`.*got those of damping, mass"),
+    ("damping =", "dampng =", r"system\.path"),
+    ("model.mat:Cd", "model.mat", r"system\.path\.damping: model\.mat: .*`damping` or `C`.* got Kd, Cd"),
+    ("model.mat:Cd", "model.mat:C", r"expected an array 'C', got Kd, Cd"),
+    ('columns = ["t", "F"], ', "", r"system\.force: log\.csv: .*expected two columns, got 3; name two"),
+    ('{table = "speed.csv"}', '[{table = "speed.csv"}]', r"drive\.speed: expected no course in a list"),
+    ('{table = "speed.csv"}', '{table = "M.csv"}', r"system\.drive\.speed: M\.csv: .*two columns, got 1"),
+    ('{table = "speed.csv"}', "{table = 3}", r"drive\.speed: expected the name of a file of two columns"),
+    ('{table = "log.csv"', '{times = [0.0], table = "log.csv"', r"system\.force: expected amplitude and"),
+    ("friction = 0.5", 'friction = {table = "speed.csv"}', r"system\.friction: expected"),
+    ("damping = ", "C = ", r"system\.path: expected files of stiffness, .* got one of 'C'"),
+    ('damping = "model.mat:Cd", ', "", r"system\.damping: expected that .* K is in K\.csv, found none there; add"),
+    ("t_end = 8.0", "t_end = 8.5", r"force: log\.csv: expected values from 0 to t_end = 8\.5, .* 0 to 8; take"),
+])  # fmt: skip
 def test_what_does_not_fit_is_refused(old, new, words, scene):
     scene.write_text(scene.read_text().replace(old, new))
     with pytest.raises(SceneError, match=words):

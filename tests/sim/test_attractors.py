@@ -176,20 +176,12 @@ def test_it_is_undecided_with_a_reason():
     assert fate.period == pytest.approx(period(0.3, 0.2), rel=1e-10)
 
 
-@pytest.mark.parametrize(
-    ("of", "settings", "error", "words"),
-    [
-        (
-            1,
-            {"engine": "sigmoid", "eps": 0.03},
-            ValueError,
-            "engine: expected one of exact events, as 'coulomb', got 's",
-        ),
-        (1, {"t_burn": 60.0}, ValueError, r"t_burn: expected a time in \[0, 50\], got 60"),
-        (2, {}, ValueError, "run: expected one of the system, of 2 blocks, got one of 1"),
-        (1, {"eps": 0.03}, TypeError, "eps"),
-    ],
-)
+@pytest.mark.parametrize(("of", "settings", "error", "words"), [
+    (1, {"engine": "sigmoid", "eps": 0.03}, ValueError, "engine: expected one of exact events, as 'coulomb', got 's"),
+    (1, {"t_burn": 60.0}, ValueError, r"t_burn: expected a time in \[0, 50\], got 60"),
+    (2, {}, ValueError, "run: expected one of the system, of 2 blocks, got one of 1"),
+    (1, {"eps": 0.03}, TypeError, "eps"),
+])  # fmt: skip
 def test_bad_input_is_refused_by_name(of, settings, error, words):
     system = System([[1.0]], 0.0, 1.0, -0.2, static=1.3)
     run = simulate(system, 0.3, 0.0, 50.0)

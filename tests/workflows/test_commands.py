@@ -192,27 +192,18 @@ def test_a_long_table_that_comes_in_pieces_is_cut_where_one_in_a_piece_is(tmp_pa
     assert more == "... 800 rows more: --format csv has them all"
 
 
-@pytest.mark.parametrize(
-    ("sql", "more", "words"),
-    [
-        ("SELECT list(n) AS ns FROM members", ["--format", "csv"], ["'ns'", "unnest it", "parquet"]),
-        (QUESTION, ["--out", "{dataset}/manifest.json", "--format", "csv"], ["--out", "outside the dataset"]),
-        (QUESTION, ["--out", "{dataset}/data/new.csv"], ["--out", "outside the dataset"]),
-        (QUESTION, ["--out", "{here}"], ["--out", "directory", "name a file"]),
-        (
-            QUESTION,
-            ["--out", "{here}/none/a.csv"],
-            [
-                "--out",
-                "(No such file or directory); the folder does not exist: create it",
-            ],
-        ),
-        ("SELECT n / 0, error('late') FROM members", ["--out", "{here}/a.csv"], ["query: ", "late"]),
-        (QUESTION, ["--out", "{here}/a.xlsx"], ["--out", ".csv, .parquet, .mat or .txt", "a.xlsx", "--format"]),
-        ("SELECT INTERVAL 1 DAY AS d", ["--out", "{here}/a.csv"], ["--format", "csv can hold", "cast them"]),
-        ("SELECT INTERVAL 1 DAY AS d", ["--out", "{here}/a.parquet"], ["--format", "parquet can hold"]),
-    ],
-)
+@pytest.mark.parametrize(("sql", "more", "words"), [
+    ("SELECT list(n) AS ns FROM members", ["--format", "csv"], ["'ns'", "unnest it", "parquet"]),
+    (QUESTION, ["--out", "{dataset}/manifest.json", "--format", "csv"], ["--out", "outside the dataset"]),
+    (QUESTION, ["--out", "{dataset}/data/new.csv"], ["--out", "outside the dataset"]),
+    (QUESTION, ["--out", "{here}"], ["--out", "directory", "name a file"]),
+    (QUESTION, ["--out", "{here}/none/a.csv"],
+        ["--out", "(No such file or directory); the folder does not exist: create it"]),
+    ("SELECT n / 0, error('late') FROM members", ["--out", "{here}/a.csv"], ["query: ", "late"]),
+    (QUESTION, ["--out", "{here}/a.xlsx"], ["--out", ".csv, .parquet, .mat or .txt", "a.xlsx", "--format"]),
+    ("SELECT INTERVAL 1 DAY AS d", ["--out", "{here}/a.csv"], ["--format", "csv can hold", "cast them"]),
+    ("SELECT INTERVAL 1 DAY AS d", ["--out", "{here}/a.parquet"], ["--format", "parquet can hold"]),
+])  # fmt: skip
 def test_an_answer_that_cannot_be_written(sql, more, words, dataset, tmp_path, capsys):
     before = (dataset / "manifest.json").read_bytes()
     more = [word.format(dataset=dataset, here=tmp_path) for word in more]
@@ -336,18 +327,12 @@ def check_bad(content, words, folder, capsys):
     assert bad.read_bytes() == content
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("matrices = 3", "matrixes = 3", ["bad.toml: run.matrixes", "did you mean 'matrices'"]),
-        ("n = 12", "n = 0\ncolour = 1", ["bad.toml: system.n", "greater than or equal to 1"]),
-        (
-            "[analysis]",
-            '[analysis]\nquestion = "collectives"',
-            ["bad.toml: analysis.question: expected one of", "'collective'"],
-        ),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ("matrices = 3", "matrixes = 3", ["bad.toml: run.matrixes", "did you mean 'matrices'"]),
+    ("n = 12", "n = 0\ncolour = 1", ["bad.toml: system.n", "greater than or equal to 1"]),
+    ("[analysis]", '[analysis]\nquestion = "collectives"',
+        ["bad.toml: analysis.question: expected one of", "'collective'"]),
+])  # fmt: skip
 def test_a_bad_scene_is_refused_in_its_words_and_nothing_is_written(old, new, words, small_scene, tmp_path, capsys):
     """Which mistakes there are, `tests/pipeline/test_scene.py` has."""
     check_bad(small_scene.read_text().replace(old, new).encode(), words, tmp_path, capsys)

@@ -51,18 +51,13 @@ def test_a_dry_run_says_what_is_run_again_and_writes_nothing(dataset, tmp_path, 
     assert listing(dataset) == before
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["waitings"], "record.waitings: unknown key of [record]; did you mean 'waiting'?"),
-        (
-            ["events"],
-            "record: expected a record that the data lack, got events, which they have; name another, as in `wait",
-        ),
-        (["waiting", "t_burn=soon"], "--record: expected a value as a scene has it, such as t_burn=50, got 't_burn="),
-        (["waiting", "waiting"], "--record: expected each key once, got waiting twice; leave one out"),
-    ],
-)
+@pytest.mark.parametrize(("words", "said"), [
+    (["waitings"], "record.waitings: unknown key of [record]; did you mean 'waiting'?"),
+    (["events"],
+        "record: expected a record that the data lack, got events, which they have; name another, as in `wait"),
+    (["waiting", "t_burn=soon"], "--record: expected a value as a scene has it, such as t_burn=50, got 't_burn="),
+    (["waiting", "waiting"], "--record: expected each key once, got waiting twice; leave one out"),
+])  # fmt: skip
 def test_what_cannot_be_added_is_refused_in_a_line(words, said, dataset, tmp_path, capsys):
     assert main(["extend", str(dataset), "--record", *words, "--out", str(tmp_path / "out")]) == 2
     assert said in capsys.readouterr().err

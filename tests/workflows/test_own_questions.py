@@ -172,22 +172,16 @@ ANSWER = (
 )
 
 
-@pytest.mark.parametrize(
-    ("code", "words"),
-    [
-        (
-            "def question(study):\n    x = 1\n    return x / 0\n",
-            r"raised ZeroDivisionError: .* \(own.py, line 3\)$",
-        ),
-        ("1 / 0", r"it raised ZeroDivisionError: .* \(own.py, line 1\)$"),
-        ("def question(:", r"it raised SyntaxError: "),
-        ("def questoin(study): pass", r"expected a function 'question' in .*own.py, found none.*'questoin'"),
-        ("import nothing_like_it", r"it raised ModuleNotFoundError: .*nothing_like_it"),
-        ("def question(study):\n    raise SystemExit(0)", r"it raised RuntimeError: SystemExit: 0"),
-        ("def question(study): return input()", r"it raised EOFError"),
-        ("def question(study): pass", r"expected a stickslip.analysis.Answer, got None"),
-    ],
-)
+@pytest.mark.parametrize(("code", "words"), [
+    ("def question(study):\n    x = 1\n    return x / 0\n", r"raised ZeroDivisionError: .* \(own.py, line 3\)$"),
+    ("1 / 0", r"it raised ZeroDivisionError: .* \(own.py, line 1\)$"),
+    ("def question(:", r"it raised SyntaxError: "),
+    ("def questoin(study): pass", r"expected a function 'question' in .*own.py, found none.*'questoin'"),
+    ("import nothing_like_it", r"it raised ModuleNotFoundError: .*nothing_like_it"),
+    ("def question(study):\n    raise SystemExit(0)", r"it raised RuntimeError: SystemExit: 0"),
+    ("def question(study): return input()", r"it raised EOFError"),
+    ("def question(study): pass", r"expected a stickslip.analysis.Answer, got None"),
+])  # fmt: skip
 def test_what_goes_wrong_is_a_line_that_says_where(asked, code, words):
     found = asked(code)
     assert re.search(words, found.problem), found.problem

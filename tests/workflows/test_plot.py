@@ -72,22 +72,16 @@ def test_the_help_names_the_kinds_that_need_no_samples(kept, member):
             series.plot(kind)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (
-            ["out", "{member}", "--kind", "space-time", "--out", "a.svg"],
-            "--kind: expected one of n_stick, space_time",
-        ),
-        (["out", "{member}", "--kind", "phase", "--out", "a.svg"], "--kind: 'phase' draws the state at given times"),
-        (["out", "{member}", "--span", "5", "2", "--out", "a.svg"], "--span: expected two times, rising"),
-        (["out", "{member}", "--out", "a.gif"], "--out: expected a file named .svg, .pdf, .png, got a.gif"),
-        (["out", "{member}", "--out", "out/data/a.svg"], "--out: expected a file outside the dataset"),
-        (["out", "{member}", "--out", "nowhere/a.svg"], "does not exist"),
-        (["out", "nobody", "--out", "a.svg"], "member_id: expected a member that is done, got 'nobody'"),
-        (["bare", "{member}", "--out", "a.svg"], "events: expected a dataset with events"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "says"), [
+    (["out", "{member}", "--kind", "space-time", "--out", "a.svg"], "--kind: expected one of n_stick, space_time"),
+    (["out", "{member}", "--kind", "phase", "--out", "a.svg"], "--kind: 'phase' draws the state at given times"),
+    (["out", "{member}", "--span", "5", "2", "--out", "a.svg"], "--span: expected two times, rising"),
+    (["out", "{member}", "--out", "a.gif"], "--out: expected a file named .svg, .pdf, .png, got a.gif"),
+    (["out", "{member}", "--out", "out/data/a.svg"], "--out: expected a file outside the dataset"),
+    (["out", "{member}", "--out", "nowhere/a.svg"], "does not exist"),
+    (["out", "nobody", "--out", "a.svg"], "member_id: expected a member that is done, got 'nobody'"),
+    (["bare", "{member}", "--out", "a.svg"], "events: expected a dataset with events"),
+])  # fmt: skip
 def test_what_cannot_be_drawn_is_refused(kept, member, monkeypatch, arguments, says, capsys):
     monkeypatch.chdir(kept)
     assert main(["plot", *(one.format(member=member) for one in arguments)]) == 2

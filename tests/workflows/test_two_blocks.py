@@ -148,24 +148,17 @@ def test_claims_hold_where_they_should():
     }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("claim", "changes", "verdict"),
-    [
-        ("unstable", {"together": [Together(1.5, 0.5, 0.5)] * 100}, "not reproduced"),
-        ("unstable", {"together": [Together(1.0, 5.0, 5.0)] * 10}, "cannot be told"),
-        ("no_smoothing", {"ends": [replace(END, kind="together")] * 100}, "not reproduced"),
-        ("two_cycles", {"ends": [END] * 100}, "cannot be told"),  # of one kind none was seen
-        ("two_cycles", {"ends": [replace(END, n_cycle=5, kind="longer")] * 100}, "not reproduced"),
-        ("structurally_unstable", {"ends": [replace(END, survives=True)] * 100}, "not reproduced"),
-        ("structurally_unstable", {"ends": [replace(END, survives=None)] * 100}, "cannot be told"),
-        ("only_cycles", {"ends": [End(1.0, 0.5, "none found")] * 100}, "not reproduced"),
-        (
-            "chaos_if_unequal",
-            {"unequal": [Unequal(1.0, 2)] * 10 + [Unequal(1.0, None, 0.2, 0.1, 0.3)] * 5},
-            "reproduced",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("claim", "changes", "verdict"), [
+    ("unstable", {"together": [Together(1.5, 0.5, 0.5)] * 100}, "not reproduced"),
+    ("unstable", {"together": [Together(1.0, 5.0, 5.0)] * 10}, "cannot be told"),
+    ("no_smoothing", {"ends": [replace(END, kind="together")] * 100}, "not reproduced"),
+    ("two_cycles", {"ends": [END] * 100}, "cannot be told"),  # of one kind none was seen
+    ("two_cycles", {"ends": [replace(END, n_cycle=5, kind="longer")] * 100}, "not reproduced"),
+    ("structurally_unstable", {"ends": [replace(END, survives=True)] * 100}, "not reproduced"),
+    ("structurally_unstable", {"ends": [replace(END, survives=None)] * 100}, "cannot be told"),
+    ("only_cycles", {"ends": [End(1.0, 0.5, "none found")] * 100}, "not reproduced"),
+    ("chaos_if_unequal", {"unequal": [Unequal(1.0, 2)] * 10 + [Unequal(1.0, None, 0.2, 0.1, 0.3)] * 5}, "reproduced"),
+])  # fmt: skip
 def test_a_claim_is_judged_by_what_was_measured(claim, changes, verdict):
     assert verdicts(**changes)[claim] == verdict
 

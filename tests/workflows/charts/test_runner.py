@@ -117,17 +117,12 @@ def test_the_command_that_measures_has_one_thread():
 
 
 BAD = {
-    "unknown chart": (
-        '"planted"',
-        '"plant"',
-        "chart: expected 'one_block' or 'paper' or ",
-        "got 'plant'",
-    ),
+    "unknown chart": ('"planted"', '"plant"', "chart: expected 'one_block' or 'paper' or ", "got 'plant'"),
     "unknown key": ("n = 5", "n = 5\nnumber = 5", "number: unknown key", "remove it"),
     "missing key": ("n = 5\n", "", "n: expected the number of blocks", "add `n = 20`"),
     "wrong type": ("n = 5", 'n = "five"', "n: expected", "e.g. `n = 20`"),
     "twice the same": ("n = 5", "n = 5\neps = [0.1, 0.1]", "eps: expected each value once", "0.1"),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("mistake", BAD)
