@@ -14,13 +14,7 @@ from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import STEPS, SYSTEM_KEYS, TOLERANCES, WIDTHS
-from stickslip.analysis.models.episodes import (
-    QUANTITIES,
-    REST,
-    SLOW_DRIVE,
-    Catalogue,
-    drift,
-)
+from stickslip.analysis.models.episodes import QUANTITIES, REST, SLOW_DRIVE, Catalogue, drift
 from stickslip.analysis.models.magnitudes import (
     WIDTH,
     Magnitudes,

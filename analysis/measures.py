@@ -216,11 +216,7 @@ def _of_column(name: str, column: Recorded, numbers: np.ndarray, t_burn: float) 
     if column.of_gaps == "mean":
         definition = "the time of all blocks with friction over the number of their slip onsets"
         per_exit = PerEvent(
-            f"mean {name}",
-            per_event,
-            title="time per slip onset of a block",
-            definition=definition,
-            dimension="time",
+            f"mean {name}", per_event, title="time per slip onset of a block", definition=definition, dimension="time"
         )
         return Measure(per_exit, name, _per_exit, STILL)
     mean = Statistic(f"mean {name}", ratio, least=column.least, title=title, definition=definition)

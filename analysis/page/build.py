@@ -216,11 +216,7 @@ def _panels(leading: Sequence[Part]) -> list[Panel]:
 
 
 def _provenance(
-    study: Study,
-    groups: pd.DataFrame,
-    lacking: Sequence[Part],
-    sources: Mapping[str, str],
-    origin: Mapping[str, str],
+    study: Study, groups: pd.DataFrame, lacking: Sequence[Part], sources: Mapping[str, str], origin: Mapping[str, str]
 ) -> Section:
     """How the page was made: settings, what could not be answered, and where the data come from."""
     settings, units = study.settings, f"{noun(study.unit)}s" + " of one system" * (study.unit == START)

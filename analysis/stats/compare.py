@@ -12,13 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.estimates import (
-    Statistic,
-    Undefined,
-    jackknife,
-    paired_difference,
-    with_data,
-)
+from stickslip.analysis.stats.estimates import Statistic, Undefined, jackknife, paired_difference, with_data
 from stickslip.analysis.stats.shares import Proportion
 
 MOST_ERRORS = 8.0  # of the intervals that tests invert: p-values below 1e-15 are not told apart

@@ -170,10 +170,7 @@ class Opened:
             pass
 
     def rows(
-        self,
-        columns: Sequence[str],
-        condition: pc.Expression | None = None,
-        shards: Sequence[str] | None = None,
+        self, columns: Sequence[str], condition: pc.Expression | None = None, shards: Sequence[str] | None = None
     ) -> Iterator[pa.Table]:
         """Some columns of some rows of each shard, in the units of the scene, in which the condition is too.
 
@@ -185,10 +182,7 @@ class Opened:
             yield (table if condition is None else table.filter(condition)).select(list(columns))
 
     def table(
-        self,
-        columns: Sequence[str],
-        condition: pc.Expression | None = None,
-        shards: Sequence[str] | None = None,
+        self, columns: Sequence[str], condition: pc.Expression | None = None, shards: Sequence[str] | None = None
     ) -> pa.Table:
         """As `rows`, in one table."""
         empty = self.schema.empty_table().select(list(columns)).replace_schema_metadata(None)

@@ -12,13 +12,7 @@ import pyarrow.parquet as pq
 
 from stickslip.pipeline.dataset.opened import NOT_OURS, Opened, open_dataset, reading
 from stickslip.pipeline.dataset.schema import is_of_scene, schema_of
-from stickslip.pipeline.dataset.sound import (
-    DAMAGE,
-    fault_of_counts,
-    fault_of_file,
-    fault_of_members,
-    wrong_columns,
-)
+from stickslip.pipeline.dataset.sound import DAMAGE, fault_of_counts, fault_of_file, fault_of_members, wrong_columns
 from stickslip.pipeline.ensemble.pack import Batch
 from stickslip.pipeline.errors import SceneError, printable, shortened
 from stickslip.pipeline.own.files import ChangedError

@@ -27,17 +27,7 @@ from http import HTTPStatus
 from typing import Any, TypeVar
 
 from stickslip.pipeline.errors import StoreError
-from stickslip.pipeline.places.place import (
-    AT_ONCE,
-    DATA,
-    LOCK,
-    TEMPORARY,
-    Hold,
-    Lock,
-    Place,
-    part,
-    this_process,
-)
+from stickslip.pipeline.places.place import AT_ONCE, DATA, LOCK, TEMPORARY, Hold, Lock, Place, part, this_process
 
 #: Seconds after its last renewal after which the lock of an object store is void.
 LEASE = 60.0

@@ -68,11 +68,7 @@ _Events: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 _EVENT_COLUMNS = ["event_t", "event_block", "event_mode", "initial_mode", "outcome", "t_stop", "t_end"]
 
 
-def table(
-    path: Where | Opened,
-    columns: Sequence[str] | None = None,
-    filters: Filters | None = None,
-) -> pa.Table:
+def table(path: Where | Opened, columns: Sequence[str] | None = None, filters: Filters | None = None) -> pa.Table:
     """The dataset, or a part of it, as an Arrow table: one row a member, sorted as the scene expands.
 
     Parameters
@@ -96,9 +92,7 @@ def table(
 
 
 def members(
-    path: Where | Opened,
-    columns: Sequence[str] | None = None,
-    filters: Filters | None = None,
+    path: Where | Opened, columns: Sequence[str] | None = None, filters: Filters | None = None
 ) -> pd.DataFrame:
     """The members table as a data frame; as `table`, but all scalar columns if `columns` is left out.
 
@@ -128,9 +122,7 @@ def members_in_parts(path: Where | Opened, columns: Sequence[str]) -> Iterator[t
 
 
 def dask_members(
-    path: Where | Opened,
-    columns: Sequence[str] | None = None,
-    filters: Filters | None = None,
+    path: Where | Opened, columns: Sequence[str] | None = None, filters: Filters | None = None
 ) -> DataFrame:
     """The members table as a dask frame, each part read where it is computed; arguments as of `members`.
 

@@ -50,8 +50,7 @@ _BY_MAGIC = {
     b"ARROW1": Kind("an Arrow file", _DENSE.format("pandas.read_feather({file}).to_numpy(float)")),
     b"\xd0\xcf\x11\xe0": Kind("an Excel file", _SHEET),
     b"\x80": Kind(
-        "a pickle, which is code: convert only one that you trust",
-        _ANY.format('pickle.load(open({file}, "rb"))'),
+        "a pickle, which is code: convert only one that you trust", _ANY.format('pickle.load(open({file}, "rb"))')
     ),
     b"\x1f\x8b": Kind("a file compressed by gzip", 'open("K", "wb").write(gzip.open({file}).read())'),
     b"BZh": Kind("a file compressed by bzip2", 'open("K", "wb").write(bz2.open({file}).read())'),

@@ -62,15 +62,7 @@ from stickslip.pipeline.scene.systems import (
     tried_function,
 )
 from stickslip.pipeline.scene.tables import AnalysisTable, PerturbationTable, RecordTable, RunTable, Start, TwinsTable
-from stickslip.pipeline.scene.toml import (
-    Positive,
-    StrictTable,
-    as_scene,
-    explained,
-    plain,
-    shown,
-    written,
-)
+from stickslip.pipeline.scene.toml import Positive, StrictTable, as_scene, explained, plain, shown, written
 from stickslip.pipeline.scene.units import UNSCALED, UnitsTable, scales_of
 from stickslip.sim.engines.adiabatic import TAKES as LOADABLE
 from stickslip.sim.engines.contract import Purpose

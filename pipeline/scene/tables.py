@@ -248,9 +248,7 @@ class RecordTable(_Records):  # type: ignore[misc]
         examples=[600.0],
     )
     dt: Positive | None = Field(
-        default=None,
-        description="time step at which the state is sampled for records that need it",
-        examples=[0.1],
+        default=None, description="time step at which the state is sampled for records that need it", examples=[0.1]
     )
     functions: Annotated[dict[str, FunctionTable] | None, WithJsonSchema({"type": "object"})] = Field(
         default=None, description="what the functions of `own` were when the scene was read: written by stickslip"
@@ -356,8 +354,7 @@ class AnalysisTable(StrictTable):
     margins: MarginsTable = MarginsTable()
     published: PublishedTable = PublishedTable()
     question: Annotated[
-        tuple[QuestionName, ...],
-        BeforeValidator(as_tuple, json_schema_input_type=QuestionName | list[QuestionName]),
+        tuple[QuestionName, ...], BeforeValidator(as_tuple, json_schema_input_type=QuestionName | list[QuestionName])
     ] = Field(
         default=(),
         description="questions that lead the report, in this order, or module:function of one of your own; what the"

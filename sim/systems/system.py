@@ -207,8 +207,7 @@ class System:
         _require_constant("normal", normal)
         load = per_block("normal", normal, coefficients.n, "normal >= 0")
         physical = coefficients.changed(
-            friction=coefficients.friction * load,
-            static=None if static is None else coefficients.static * load,
+            friction=coefficients.friction * load, static=None if static is None else coefficients.static * load
         )
         chosen = Scales.of(physical) if scales is None else scales
         return chosen.dimensionless(physical), chosen

@@ -19,14 +19,7 @@ from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.stats import compare, components, shares
 from stickslip.analysis.stats.effects import over_null
-from stickslip.analysis.stats.estimates import (
-    LN2,
-    Estimate,
-    Undefined,
-    gamma,
-    over_matrices,
-    ratio,
-)
+from stickslip.analysis.stats.estimates import LN2, Estimate, Undefined, gamma, over_matrices, ratio
 from stickslip.workflows.scenes import counting
 from tests.chance import ERRORS, agrees
 

@@ -131,14 +131,7 @@ def test_bad_series_are_refused_by_name(t, n, start, stop, named):
         window(np.array(t), np.array(n, dtype=None if n else int), start, stop)
 
 
-@pytest.mark.parametrize(
-    "law",
-    [
-        Law("drops", 1.0),
-        Law("events", 1.0),
-        Law("drop"),
-    ],
-)
+@pytest.mark.parametrize("law", [Law("drops", 1.0), Law("events", 1.0), Law("drop")])
 def test_bad_laws_are_refused(law):
     with pytest.raises(ValueError, match=r"definition|dt"):
         sizes(window(T, N, 0.0, 12.0), law)

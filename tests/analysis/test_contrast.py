@@ -8,13 +8,7 @@ import pytest
 from scipy import stats
 
 from stickslip.analysis import AnalysisSettings, Study
-from stickslip.analysis.contrast import (
-    Share,
-    Statistic,
-    contrast,
-    course,
-    judged,
-)
+from stickslip.analysis.contrast import Share, Statistic, contrast, course, judged
 from stickslip.analysis.findings.finding import Course, Scale, Verdict
 from stickslip.analysis.measures import ENDS, SHORT_WINDOW, of_windows
 from stickslip.analysis.stats.compare import bounded_difference

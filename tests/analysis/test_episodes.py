@@ -13,17 +13,7 @@ from stickslip.analysis import catalogue as as_catalogue
 from stickslip.analysis.findings.alerts import Code
 from stickslip.analysis.findings.finding import Change, Fit, KeyChange, Law, Level, Outcomes, Reason, Verdict
 from stickslip.analysis.models import magnitudes
-from stickslip.analysis.models.episodes import (
-    CREEP,
-    OCCUPANCY,
-    QUANTITIES,
-    RATE,
-    REST,
-    SIZE,
-    SLIP,
-    STORED,
-    Catalogue,
-)
+from stickslip.analysis.models.episodes import CREEP, OCCUPANCY, QUANTITIES, RATE, REST, SIZE, SLIP, STORED, Catalogue
 from stickslip.analysis.models.magnitudes import Picture
 from stickslip.analysis.questions.runs.changes import answer as changes_of
 from stickslip.analysis.questions.slips import episodes
@@ -443,10 +433,7 @@ def test_a_test_that_few_systems_leave_without_power_costs_the_others_nothing(pl
 
 @pytest.mark.parametrize(
     ("cases", "left_out"),
-    [
-        ({"exact": 1.0, "smooth": 1.0}, {"gamma"}),
-        ({"slow": -0.1, "fast": -0.2}, {"gamma", "mean n_stick"}),
-    ],
+    [({"exact": 1.0, "smooth": 1.0}, {"gamma"}), ({"slow": -0.1, "fast": -0.2}, {"gamma", "mean n_stick"})],
 )
 def test_where_episodes_are_recorded_gamma_is_not_asked_about(cases, left_out, planted_episodes, planted, settings):
     """It is of cascades, which no such page has; a sweep compares the episodes instead."""

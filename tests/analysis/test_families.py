@@ -5,14 +5,7 @@ import pytest
 from scipy import stats
 
 from stickslip.analysis.stats.estimates import Undefined
-from stickslip.analysis.stats.families import (
-    CUT_OFF,
-    EXPONENTIAL,
-    POWER_LAW,
-    log_shares,
-    maximise,
-    parameter,
-)
+from stickslip.analysis.stats.families import CUT_OFF, EXPONENTIAL, POWER_LAW, log_shares, maximise, parameter
 from tests.analysis import studies
 
 SIZES = np.arange(1.0, 201.0)

@@ -6,16 +6,7 @@ import pickle
 
 import pytest
 
-from stickslip.pipeline import (
-    SceneError,
-    StoreError,
-    extend,
-    load_scene,
-    parse_scene,
-    query,
-    run_ensemble,
-    verify,
-)
+from stickslip.pipeline import SceneError, StoreError, extend, load_scene, parse_scene, query, run_ensemble, verify
 from stickslip.pipeline.dataset.opened import open_dataset
 from stickslip.pipeline.dataset.writer import Store
 from stickslip.pipeline.ensemble.member import Member
@@ -134,8 +125,7 @@ def counted(run, system, window) -> Counted:
 
 
 @pytest.mark.parametrize(
-    ("function", "had", "n_run"),
-    [("measured", "end", 0), ("measured", "events", 8), ("counted", "end", 8)],
+    ("function", "had", "n_run"), [("measured", "end", 0), ("measured", "events", 8), ("counted", "end", 8)]
 )
 def test_a_function_of_ones_own_reads_what_is_kept_or_a_run(function, had, n_run, tmp_path, content, ran):
     """`episodes` reads more of a run than any row holds."""
@@ -255,8 +245,7 @@ def test_a_damaged_dataset_is_refused_and_one_is_not_extended_in_place(plain, tm
     scene = parse_scene(source("waiting = true"))
     before = content(plain)
     with pytest.raises(
-        StoreError,
-        match=r"n_contacts, which these data lack; choose another directory than that of other data",
+        StoreError, match=r"n_contacts, which these data lack; choose another directory than that of other data"
     ):
         run_ensemble(scene, plain, workers=0, kept=plain)
     assert content(plain) == before

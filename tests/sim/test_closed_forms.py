@@ -77,10 +77,7 @@ def test_two_blocks_from_rest_on_the_belt():
     """AUDIT, two blocks: from (0, 0, -1, -1), s = +1."""
     run = simulate(two_blocks(+1), 0.0, -1.0, 30.0, tol=TOL, stop_early=False)
     np.testing.assert_allclose(
-        run.events.t,
-        [0.5625, 0.8162276148517664, 6.168800188684988, 6.287311406713242],
-        rtol=0,
-        atol=1e-12,
+        run.events.t, [0.5625, 0.8162276148517664, 6.168800188684988, 6.287311406713242], rtol=0, atol=1e-12
     )
     assert run.events.block.tolist() == [1, 0, 0, 0]
     assert run.events.mode.tolist() == [1, 1, 0, 1]

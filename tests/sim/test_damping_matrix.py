@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from stickslip.sim import (
-    COUPLINGS,
-    System,
-    draw_system,
-    perturb_system,
-    simulate,
-)
+from stickslip.sim import COUPLINGS, System, draw_system, perturb_system, simulate
 from tests.systems import draw_run
 
 FINE = {"engine": "sigmoid", "rtol": 1e-9, "atol": 1e-9, "stop_early": False}
@@ -151,8 +145,7 @@ def test_what_scale_drew_before_it_draws_still(coupling):
 
 
 @pytest.mark.parametrize(
-    ("coupling", "reading"),
-    [(name, reading) for name, one in COUPLINGS.items() for reading in one.readings],
+    ("coupling", "reading"), [(name, reading) for name, one in COUPLINGS.items() for reading in one.readings]
 )
 def test_one_draw_goes_one_way(coupling, reading):
     base = draw_system(coupling, 8, 5)

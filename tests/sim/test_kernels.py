@@ -20,8 +20,7 @@ def found_in(coefficients, room):
 
 
 @pytest.mark.parametrize(
-    "planted",
-    [[1.0], [0.5, 1.0], [0.25, 0.5, 0.75], [0.5, 0.5 + 2.0**-30], [1.25], [], [0.4375, 0.875, 1.125]],
+    "planted", [[1.0], [0.5, 1.0], [0.25, 0.5, 0.75], [0.5, 0.5 + 2.0**-30], [1.25], [], [0.4375, 0.875, 1.125]]
 )
 def test_planted_roots_are_found_in_order(planted):
     """Those at 0.5 and the like lie on the border of two halves, and count once; the last has no curvature where the

@@ -20,10 +20,7 @@ def follow(length=1.0, time=1.0):
     return run.z / length, run.w / unit, run.events.mode.tolist()
 
 
-@pytest.mark.parametrize(
-    ("length", "time"),
-    [(1e-250, 1.0), (1e250, 1.0), (1.0, 1e-60), (1.0, 1e23), (1e100, 1e15)],
-)
+@pytest.mark.parametrize(("length", "time"), [(1e-250, 1.0), (1e250, 1.0), (1.0, 1e-60), (1.0, 1e23), (1e100, 1e15)])
 def test_a_motion_is_the_same_in_any_units(length, time):
     z, w, modes = follow()
     other_z, other_w, other_modes = follow(length, time)

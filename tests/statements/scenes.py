@@ -166,10 +166,7 @@ PLANS: dict[str, Plan] = {name: Plan((shrunk(name, **changes),)) for name, chang
     "grid_begun": Plan((scene(GRID),), n_shards=1),
     "grid_diagonal": Plan((scene(GRID, run='zip = [["friction", "belt_speed"]]'), scene(GRID)), n_shards=0),
     "grid_grown": Plan(
-        (
-            scene(f"{HELD}\nfriction = [0.8]", run="matrices = 2"),
-            scene(f"{HELD}\nfriction = [0.8, 1.0]"),
-        )
+        (scene(f"{HELD}\nfriction = [0.8]", run="matrices = 2"), scene(f"{HELD}\nfriction = [0.8, 1.0]"))
     ),
     "zipped": Plan((scene(f"{HELD}\nfriction = [0.5, 1.0]\nleaf = [0.1, 0.2]", run='zip = [["friction", "leaf"]]'),)),
     "three_keys": Plan((scene(f"{HELD}\nmass = [0.5, 1.0]\nleaf = [0.1, 0.3]", start='z = [0.1, 0.4]\nw = "belt"'),)),

@@ -52,10 +52,7 @@ READERS = {
     "compare": ["report", "{d}", "--compare", "{x}"],
     "compared": ["report", "{x}", "--compare", "{d}", "--out", "{o}"],
 }
-WRITERS = {
-    "run": ["run", "{s}", "--out", "{d}", "--workers", "1", "--no-report"],
-    "report": ["report", "{d}"],
-}
+WRITERS = {"run": ["run", "{s}", "--out", "{d}", "--workers", "1", "--no-report"], "report": ["report", "{d}"]}
 #: The parts that every command looks at, and those that a report alone is made of.
 PARTS = ("scene.toml", "manifest.json", "timings.jsonl", ".lock", "data", "report", "report.html")
 OF_REPORTS = ("report/files.txt", "report/figures")

@@ -97,11 +97,7 @@ def test_an_orbit_is_that_of_a_method_that_shares_no_code(rng):
 
 @pytest.mark.parametrize(
     ("coupling", "start", "kind", "sizes"),
-    [
-        (0.3, 0.2, "alone in turns", "1, 1"),
-        (2.3, 0.18, "mirrored", "2, 2"),
-        (6.0, 0.029, "the same", "2"),
-    ],
+    [(0.3, 0.2, "alone in turns", "1, 1"), (2.3, 0.18, "mirrored", "2, 2"), (6.0, 0.029, "the same", "2")],
 )
 def test_each_kind_of_cycle(coupling, start, kind, sizes):
     pair = Pair(coupling, 0.3, 1e-4)

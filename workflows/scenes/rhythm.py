@@ -49,11 +49,7 @@ NUMBERS = {
         Form.SHARE,
     ),
 }
-_PLURAL = {
-    Number.PERIOD: "natural periods",
-    Number.QUALITY: "values of Q",
-    Number.SHARE: "shares of the variance",
-}
+_PLURAL = {Number.PERIOD: "natural periods", Number.QUALITY: "values of Q", Number.SHARE: "shares of the variance"}
 LEAST_POINTS = 3  # to fit a power
 LEAST_FACTOR = 2.0  # least ratio of the largest to the smallest value of a key, to speak of a power of it
 WHAT = "changes of slow common motion"

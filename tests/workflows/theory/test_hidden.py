@@ -27,12 +27,7 @@ def modified(curvature=2.0, **options):
     return SmoothLaw(law.resistance, law.slope, curvature, 2, **options)
 
 
-LAWS = {
-    "coulomb": Coulomb(),
-    "static": StaticAboveKinetic(1.4),
-    "modified": Modified(),
-    "smooth": modified(),
-}
+LAWS = {"coulomb": Coulomb(), "static": StaticAboveKinetic(1.4), "modified": Modified(), "smooth": modified()}
 
 
 # --- laws ----------------------------------------------------------------------------------------------------
@@ -198,8 +193,7 @@ def test_modified_law_on_faces(force, expected):
 
 
 @pytest.mark.parametrize(
-    ("target", "roots", "stable"),
-    [(0.0, 1, 1), (0.999, 1, 1), (1.001, 2, 1), (1.399, 2, 1), (1.401, 0, 0)],
+    ("target", "roots", "stable"), [(0.0, 1, 1), (0.999, 1, 1), (1.001, 2, 1), (1.399, 2, 1), (1.401, 0, 0)]
 )
 def test_static_law_has_the_planted_counts(target, roots, stable):
     """s rises to its ratio at lambda_* and falls to 1: one root below 1, two up to the ratio, none beyond."""

@@ -27,10 +27,7 @@ def held(first, second):
 def test_eq_7_as_printed_is_the_other_sign_of_eq_6():
     """Held by the engine, and by (7) as printed, alike for s = -1; for s = +1 kappa12 changes its sign."""
     z = states(2000)
-    printed = held(
-        RHO * V + (K1 - K12) * z[:, 0] + K12 * z[:, 1],
-        RHO * V + K12 * z[:, 0] + (K2 - K12) * z[:, 1],
-    )
+    printed = held(RHO * V + (K1 - K12) * z[:, 0] + K12 * z[:, 1], RHO * V + K12 * z[:, 0] + (K2 - K12) * z[:, 1])
     np.testing.assert_array_equal(can_stick(pair(-1), z), printed)
     assert (can_stick(pair(1), z) != printed).any(axis=1).mean() > 0.1
     for state in z[:20]:

@@ -10,16 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from stickslip import sim
-from stickslip.analysis.models.fates import (
-    COLLAPSED,
-    DIVERGED,
-    FAILED,
-    LULL,
-    MOVING,
-    QUIET,
-    WATCHED,
-    median,
-)
+from stickslip.analysis.models.fates import COLLAPSED, DIVERGED, FAILED, LULL, MOVING, QUIET, WATCHED, median
 from stickslip.analysis.stats import components
 from stickslip.analysis.stats.enough import LEAST_MATRICES
 from stickslip.analysis.stats.estimates import LN2, Estimate, over_matrices, ratio

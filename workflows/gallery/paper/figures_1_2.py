@@ -242,11 +242,7 @@ def velocities(axes: Sequence[Axes], plane: Parallelogram) -> None:
     for ax, path in zip(axes, plane.paths, strict=True):
         for block, w in enumerate(path.w):
             ax.plot(
-                path.t,
-                np.asarray(w) - V,
-                color=CYCLE[block],
-                linestyle=_DASHES[block],
-                label=f"block {block + 1}",
+                path.t, np.asarray(w) - V, color=CYCLE[block], linestyle=_DASHES[block], label=f"block {block + 1}"
             )
         for t, block, mode in path.events:
             ax.axvline(t, color=CYCLE[block], linestyle=":" if mode else "-", linewidth=0.8)

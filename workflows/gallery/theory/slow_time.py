@@ -100,13 +100,7 @@ _Stretch: TypeAlias = tuple[Segment, list[LawEvent], _State]
 
 @numpy_arithmetic()
 def run_with_law(
-    system: System,
-    law: SwitchingLaw,
-    z0: ArrayLike,
-    w0: ArrayLike,
-    t_end: float,
-    *,
-    entry: ArrayLike = 0.0,
+    system: System, law: SwitchingLaw, z0: ArrayLike, w0: ArrayLike, t_end: float, *, entry: ArrayLike = 0.0
 ) -> LawRun:
     """Follow one or two blocks under a switching law from t = 0; the fast system chooses among modes.
 
