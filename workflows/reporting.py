@@ -73,46 +73,47 @@ def study_of(path: Where | Opened, whole: bool = False) -> Study:
 def _data(opened: Opened, whole: bool = False) -> Data:
     """A dataset as the analysis sees it, its series read where they are asked for."""
     scene, names = opened.scene, scalar_names(opened)
-    kept = [column for record in scene.records_in_order for column in record.kept if column.is_number]
-    values, problems = {one.name: list[np.ndarray]() for one in kept}, dict[str, dict[str, str]]()
-    own = () if scene.own_record is None else scene.own_record.kept
+    columns_kept = [column for record in scene.records_in_order for column in record.kept if column.is_number]
+    values, problems = {column.name: list[np.ndarray]() for column in columns_kept}, dict[str, dict[str, str]]()
+    by_users = () if scene.own_record is None else scene.own_record.kept
+    all_of_users = ",".join(column.name for column in by_users)
 
-    def prepared(part: pd.DataFrame, coordinates: Coordinates) -> pd.DataFrame:
+    def prepared(frame: pd.DataFrame, coordinates: Coordinates) -> pd.DataFrame:
         for name, columns in values.items():
-            numbers = part[name].to_numpy(np.float64, na_value=np.nan)
+            numbers = frame[name].to_numpy(np.float64, na_value=np.nan)
             is_beyond = np.abs(numbers) > _LARGEST
             if is_beyond.any():
-                problems.setdefault(name, {}).update(dict.fromkeys(part["member_id"][is_beyond], _BEYOND))
+                problems.setdefault(name, {}).update(dict.fromkeys(frame["member_id"][is_beyond], _BEYOND))
             columns.append(np.where(is_beyond, np.nan, numbers))
-        if own:
-            failed = part[part["own_problem"].notna()]
+        if by_users:
+            failed = frame[frame["own_problem"].notna()]
             # data of an earlier version do not say of which columns: of any
-            lost = failed["own_lost"] if "own_lost" in failed else [",".join(one.name for one in own)] * len(failed)
+            lost = failed["own_lost"] if "own_lost" in failed else [all_of_users] * len(failed)
             for member_id, why, names in zip(failed["member_id"], failed["own_problem"], lost, strict=True):
                 for name in names.split(","):
                     problems.setdefault(name, {})[member_id] = printable(why)
-        return _prepared(scene, part).assign(**coordinates._asdict())
+        return _prepared(scene, frame).assign(**coordinates._asdict())
 
     # the design has parameters, which may have a name that the analysis gives a column
-    asked = [name for name in names if name not in scene.parameters and (whole or name not in _UNASKED)]
-    table = Members.of(starmap(prepared, members_in_parts(opened, asked)), opened.design)
+    names_read = [name for name in names if name not in scene.parameters and (whole or name not in _UNASKED)]
+    table = Members.of(starmap(prepared, members_in_parts(opened, names_read)), opened.design)
     pa.default_memory_pool().release_unused()  # else what reading took would stay taken, 150 bytes a member
     recorded = {
-        one.name: Recorded(
-            printable(one.words),
-            Numbers(table, np.concatenate(values.pop(one.name))),
-            one.least,
-            printable(one.absent),
-            problems.get(one.name, {}),
-            printable(one.words) if one in own else one.called,  # a user's own is called what they say it is
-            bool(one.title),
-            one.kind == "yes or no",
-            None if one.until is None else one.until.start(scene.record_t_burn),
-            one.of_gaps,
-            one.most,
-            one.dimension,
+        column.name: Recorded(
+            printable(column.words),
+            Numbers(table, np.concatenate(values.pop(column.name))),
+            column.least,
+            printable(column.absent),
+            problems.get(column.name, {}),
+            printable(column.words) if column in by_users else column.called,  # a user's is called what they say
+            bool(column.title),
+            column.kind == "yes or no",
+            None if column.until is None else column.until.start(scene.record_t_burn),
+            column.of_gaps,
+            column.most,
+            column.dimension,
         )
-        for one in kept
+        for column in columns_kept
     }
     return Data(
         table,
@@ -276,16 +277,16 @@ def _provenance(opened: Opened) -> dict[str, str]:
 def findings(where: Where) -> pd.DataFrame:
     """The findings of a report, as `stickslip.Dataset.findings` has them."""
     opened = open_dataset(where)
-    (written,) = opened.place.read_each([FINDINGS])
-    if written is None:
+    (content,) = opened.place.read_each([FINDINGS])
+    if content is None:
         raise StoreError(f"{opened.place}: expected {FINDINGS}, got no such file; `stickslip report DIR` writes it")
     try:
         rows = [
             (Said(finding["question"], finding["leads"], finding["sentence"]), row)
-            for finding in json.loads(written)["findings"]
+            for finding in json.loads(content)["findings"]
             for row in [Row(**values) for values in finding["rows"]] or [NO_VALUE]
         ]
-        tables = frame_of(Said, (said for said, _ in rows)), frame_of(Row, (row for _, row in rows))
+        tables = frame_of(Said, (head for head, _ in rows)), frame_of(Row, (row for _, row in rows))
         unsaid = ["form"] + ["measured_in"] * (not opened.scene.unit_names)
         return pd.concat(tables, axis="columns").drop(columns=unsaid)
     except (ValueError, KeyError, TypeError) as error:
@@ -311,23 +312,23 @@ def write(built: Report, where: Where) -> str:
     if isinstance(place, Directory):
         place.make()
         place.remove_left()
-    files, (listed,) = built.files(), place.read_each([LIST])
-    lines = [] if listed is None else listed.decode(errors="replace").splitlines()
+    files, (listing,) = built.files(), place.read_each([LIST])
+    lines = [] if listing is None else listing.decode(errors="replace").splitlines()
     earlier = {match[2]: match[1] for line in lines if (match := _LISTED.fullmatch(line))}
-    written: dict[str, str] = {}
+    digests: dict[str, str] = {}
 
     def content(name: str) -> bytes:
-        made = files[name]()
-        written[name] = hashlib.sha256(made).hexdigest()
-        return made
+        data = files[name]()
+        digests[name] = hashlib.sha256(data).hexdigest()
+        return data
 
     place.replace(LIST, _lines([UNFINISHED], earlier))
     place.replace_all({name: partial(content, name) for name in files})
     for name, sha256 in earlier.items():
-        (found,) = place.read_each([name]) if name not in files else [None]
-        if found is not None and hashlib.sha256(found).hexdigest() == sha256:
+        (stored,) = place.read_each([name]) if name not in files else [None]
+        if stored is not None and hashlib.sha256(stored).hexdigest() == sha256:
             place.remove(name)
-    place.replace(LIST, _lines([], written))
+    place.replace(LIST, _lines([], digests))
     return place.named(PAGE)
 
 

@@ -161,8 +161,8 @@ def _digest(system: _Content, others: Mapping[str, _Content]) -> str:
     """The sha256 of a file; or of several, with what they call the arrays."""
     if not system.variable and not others:
         return digest(system.bytes)
-    parts = {"stiffness": system, **others}
-    words = [f"{array} {part.variable} {digest(part.bytes)}" for array, part in sorted(parts.items())]
+    contents = {"stiffness": system, **others}
+    words = [f"{array} {content.variable} {digest(content.bytes)}" for array, content in sorted(contents.items())]
     return digest("\n".join(words).encode())
 
 
@@ -183,11 +183,11 @@ def _arrays(system: _Content, others: Mapping[str, _Content], is_graph: bool) ->
             arrays = graph_of(system.bytes, BY_BLOCK)
         else:
             arrays = arrays_of(system.bytes, BY_BLOCK, variable=system.variable)
-    for array, part in others.items():
+    for array, content in others.items():
         if array in arrays:
             raise SceneError(f"system.path: expected `{array}` in one file, got it in {system.name} too; remove one")
-        with _naming(f"{_PATH}.{array}", part.name, array):
-            arrays |= arrays_of(part.bytes, (), array, part.variable)
+        with _naming(f"{_PATH}.{array}", content.name, array):
+            arrays |= arrays_of(content.bytes, (), array, content.variable)
     return arrays
 
 
@@ -280,7 +280,7 @@ def _checked(system: _Content, others: Mapping[str, _Content], is_graph: bool) -
             per_block(key, arrays.get(key, 0.0), checked.n)
         names = named(arrays.get(NAMES, ()), checked.n)
     except (TypeError, ValueError, MemoryError) as error:
-        also = "".join(f", {part.name}" for part in others.values())
+        also = "".join(f", {content.name}" for content in others.values())
         raise SceneError(f"system.path: {system.name}{also}: {_line(error)}") from None
     return {
         "sha256": _digest(system, others),
@@ -319,8 +319,8 @@ def look_at_files(
     system, or blocks have other names there, or if nothing says what the damping beside a K is.
     """
     paths = {"stiffness": path} if isinstance(path, str) else dict(path)
-    first = paths.pop("stiffness")
-    pattern, variable = (first, "") if is_graph else split(first, folder)
+    file_of_k = paths.pop("stiffness")
+    pattern, variable = (file_of_k, "") if is_graph else split(file_of_k, folder)
     files = [folder / pattern] if os.path.isfile(folder / pattern) else _matching(folder, pattern)
     if not files and os.path.isdir(folder / pattern):
         raise SceneError(f"system.path: expected a file, got the directory {pattern!r}; name a file in it")
@@ -349,19 +349,19 @@ def look_at_files(
                 ' 0.0`, or `rayleigh = [a, b]`, its file, as path = {stiffness = "K.csv", damping = "C.csv"}, or'
                 " `rho = 3.5`, which draws it"
             )
-        for part in () if is_graph else (system, *others.values()):
-            _check_headings(part, table[NAMES] if isinstance(table.get(NAMES), list) else ())
+        for content in () if is_graph else (system, *others.values()):
+            _check_headings(content, table[NAMES] if isinstance(table.get(NAMES), list) else ())
     return facts
 
 
-def _check_headings(part: _Content, names: Sequence[object]) -> None:
+def _check_headings(content: _Content, names: Sequence[object]) -> None:
     """Refuse names of blocks that are not those by which a text of numbers calls its rows or columns."""
-    for labels in Text(part.bytes).labels if names and reader_of(part.bytes) is Text else ():
+    for labels in Text(content.bytes).labels if names and reader_of(content.bytes) is Text else ():
         if len(labels) == len(names) and all(re.fullmatch(PATTERN, label) for label in labels):
             for k, (label, name) in enumerate(zip(labels, names, strict=True)):
                 if label != name:
                     raise SceneError(
-                        f"system.names: expected {label!r} for block {k}, as {Path(part.name).name} calls it, got"
+                        f"system.names: expected {label!r} for block {k}, as {Path(content.name).name} calls it, got"
                         f" {shown(name)}; write names in the order of the file, or take its headings away"
                     )
 
@@ -371,12 +371,12 @@ def _matching(folder: Path, pattern: str) -> list[Path]:
     if "**" in pattern:
         raise SceneError(f"system.path: expected no **, got {shown(pattern)}; write * for each folder of the path")
     places, n_seen = [folder], 0
-    for part in Path(pattern).parts:
-        if not glob.has_magic(part):
-            places = [place / part for place in places]
+    for word in Path(pattern).parts:
+        if not glob.has_magic(word):
+            places = [place / word for place in places]
             continue
         entries = [place / name for place in places for name in _names(place)]
-        places = [place for place in entries if fnmatch.fnmatch(place.name, part) and place.name[0] != "."]
+        places = [place for place in entries if fnmatch.fnmatch(place.name, word) and place.name[0] != "."]
         n_seen += len(entries)
         if n_seen > _MAX_ENTRIES or len(places) > MAX_FILES:
             raise SceneError(

@@ -179,9 +179,9 @@ class _End:
         for cycle in rounds_of(in_order(run.events, first, self._together), self._back):
             if not self._has_phase(cycle.period):
                 continue
-            found = self._once_more(cycle, last) if cycle.is_back else self._settled(cycle)
-            if found is not None:
-                return found
+            result = self._once_more(cycle, last) if cycle.is_back else self._settled(cycle)
+            if result is not None:
+                return result
         return self._not_periodic(last)
 
     @property
@@ -224,10 +224,10 @@ class _End:
         rounding = _ROUNDING * s.static + NULL * s.row_sums * np.abs(self._run.z).max()
         return bool((outward + swing <= s.static + rounding).all())
 
-    def _is_loaded_by(self, moved: Floats) -> bool:
+    def _is_loaded_by(self, shift: Floats) -> bool:
         """Whether springs pull at blocks that are moved so, for which they have to be stretched."""
         s = self._system
-        return bool((np.abs(s.stiffness @ moved) > NULL * s.row_sums * np.abs(moved).max()).any())
+        return bool((np.abs(s.stiffness @ shift) > NULL * s.row_sums * np.abs(shift).max()).any())
 
     # ---------------------------------------------------------------------------------------------- cycles
 
@@ -268,8 +268,8 @@ class _End:
 
     def _without_events(self) -> Attractor:
         """A run without events, which may follow a force and have its period."""
-        more = "; lengthen the run" if self._frequencies else ""
-        none = Attractor("undecided", f"no event after t_burn, and no proof of steady sliding{more}")
+        advice = "; lengthen the run" if self._frequencies else ""
+        none = Attractor("undecided", f"no event after t_burn, and no proof of steady sliding{advice}")
         if len(self._frequencies) > 1 and self._are_incommensurate():
             grown = self._growth(self._run.t_end - self._since)
             if grown is not None and grown.decays:
@@ -292,8 +292,8 @@ class _End:
         multiplier = self._multiplier(matrix)
         events = replace(events, t_start=0.0, t_end=period)
         why = "the state comes back after a period of the force"
-        kept = path.states.first(1), self._extent(path), null_space(self._system)
-        return Attractor("periodic", why, period, multiplier, None, drift, events, *kept)
+        facts = path.states.first(1), self._extent(path), null_space(self._system)
+        return Attractor("periodic", why, period, multiplier, None, drift, events, *facts)
 
     def _once_more(self, cycle: Round, last: EventSeries) -> Attractor | None:
         """The cycle, if the run goes round it once more; else None."""
@@ -328,10 +328,10 @@ class _End:
         if drift is None or not self._has_phase(period):
             return None
         period = self._whole(period)
-        if (part := self._part(path, events, drift, size)) < p:
+        if (n_part := self._part(path, events, drift, size)) < p:
             # it settles from side to side, and is still too far off to be back after a part of the round; in so many
             # turns a spiral onto the shorter cycle may come as near as a longer cycle does
-            return self._settled(Round(part, period * part / p, is_back=False))
+            return self._settled(Round(n_part, period * n_part / p, is_back=False))
         has_matrix = p * (2.0 * self._system.n) ** 3 <= _WORK and path.is_differentiable(self._at_once)
         matrix = path.monodromy(bool(self._frequencies)) if has_matrix else None
         multiplier = None if matrix is None else self._multiplier(matrix)
@@ -345,9 +345,9 @@ class _End:
                 why = "events come back, and so nearly does the state, which moves on; lengthen the run"
                 return Attractor("undecided", why)
             if self._has_newton(p) and multiplier is not None and multiplier < 1.0:
-                found = self._settled(Round(p, period, is_back=False))
-                if found is not None:
-                    return found
+                nearby = self._settled(Round(p, period, is_back=False))
+                if nearby is not None:
+                    return nearby
             if distance > self._back * size:
                 return None
         why = f"{p} events, and the state at each, come back"
@@ -361,13 +361,13 @@ class _End:
         """
         p = len(path.block)
         symbols = symbols_of(in_order(events, 0, self._together))[:p]
-        whole = _off(path, p, drift)
-        near, exactly = _ALMOST * self._back * size, self._close * size
-        for part in range(1, p // 2 + 1):
-            if p % part == 0 and (symbols[part:] == symbols[:-part]).all():
-                off = _off(path, part, drift * (part / p))
-                if off <= exactly or (off <= near and (self._system.changes or whole > _APART * off)):
-                    return part
+        off_whole = _off(path, p, drift)
+        nearly, exactly = _ALMOST * self._back * size, self._close * size
+        for n_part in range(1, p // 2 + 1):
+            if p % n_part == 0 and (symbols[n_part:] == symbols[:-n_part]).all():
+                off = _off(path, n_part, drift * (n_part / p))
+                if off <= exactly or (off <= nearly and (self._system.changes or off_whole > _APART * off)):
+                    return n_part
         return p
 
     def _has_newton(self, p: int) -> bool:
@@ -377,17 +377,17 @@ class _End:
     def _settled(self, cycle: Round) -> Attractor | None:
         """The cycle that the run comes nearer to, if it attracts; else None."""
         p = cycle.n_events
-        near = self._near(cycle)
-        if near is None:
+        answer = self._near(cycle)
+        if answer is None:
             return None
-        found, drift, multiplier = near
-        size = self._size(found.path)
-        if found.distance * size > found.path.extent(drift) / _LARGER:
+        approach, drift, multiplier = answer
+        size = self._size(approach.path)
+        if approach.distance * size > approach.path.extent(drift) / _LARGER:
             return None  # it dies out
-        if (part := self._part(found.path, found.events, drift, size)) < p:
-            return self._settled(Round(part, cycle.period * part / p, is_back=False))
-        why = f"it settles on a cycle of {p} events, which attracts and is {found.distance:.1g} away"
-        return self._cycle(found.path, found.events, float(found.events.t[-1]), drift, multiplier, why)
+        if (n_part := self._part(approach.path, approach.events, drift, size)) < p:
+            return self._settled(Round(n_part, cycle.period * n_part / p, is_back=False))
+        why = f"it settles on a cycle of {p} events, which attracts and is {approach.distance:.1g} away"
+        return self._cycle(approach.path, approach.events, float(approach.events.t[-1]), drift, multiplier, why)
 
     def persisting(self, cycle: Attractor) -> Attractor | None:
         """The cycle of this system that has the events of another's, which the run came from, if it attracts.
@@ -400,12 +400,12 @@ class _End:
         n_events = int(counted[cycle.events.block].sum())
         if n_events == 0 or not self._has_newton(len(cycle.events)):
             return None
-        near = self._near(Round(n_events, cycle.period, is_back=False), counted, math.inf)
-        if near is None:
+        answer = self._near(Round(n_events, cycle.period, is_back=False), counted, math.inf)
+        if answer is None:
             return None
-        found, drift, multiplier = near
+        approach, drift, multiplier = answer
         why = f"the cycle of {n_events} events lasts, and attracts"
-        return self._cycle(found.path, found.events, float(found.events.t[-1]), drift, multiplier, why)
+        return self._cycle(approach.path, approach.events, float(approach.events.t[-1]), drift, multiplier, why)
 
     def _near(
         self, cycle: Round, counted: NDArray[np.bool_] | None = None, far: float = FAR
@@ -415,8 +415,8 @@ class _End:
         if not self._has_newton(p):
             return None
         is_counted = np.full(s.n, True) if counted is None else counted
-        after = self._follow(2.2 * cycle.period, np.empty(0)).events
-        events = in_order(after, 0, self._at_once)
+        later = self._follow(2.2 * cycle.period, np.empty(0)).events
+        events = in_order(later, 0, self._at_once)
         # from an event at which the block has its belt's speed, whatever the state
         is_at_belt = ((events.mode == 0) | (events.previous_mode != 0)) & is_counted[events.block]
         k = int(np.argmax(is_at_belt)) if is_at_belt.any() else len(events)
@@ -424,7 +424,7 @@ class _End:
         if len(places) <= p:
             return None
         t = events.t[k]
-        at = self._follow(float(t), np.array([t])).samples
+        state = self._follow(float(t), np.array([t])).samples
         once = slice(k, int(places[p]) + 1)
         round_ = replace(events, t=events.t[once] - t, block=events.block[once], mode=events.mode[once],
                          initial_mode=events.mode_after(k))  # fmt: skip
@@ -432,19 +432,19 @@ class _End:
             s, self._run_from, partial(in_order, first=0, together=self._at_once), self._size, self._close, far,
             is_counted,
         )  # fmt: skip
-        found = newton.cycle(at.z[0], at.w[0], round_)
-        if found is None or not found.path.is_differentiable(self._at_once):
+        approach = newton.cycle(state.z[0], state.w[0], round_)
+        if approach is None or not approach.path.is_differentiable(self._at_once):
             return None
-        drift = self._drift(found.path, self._size(found.path))
-        multiplier = self._multiplier(found.matrix)
-        return None if drift is None or multiplier >= 1.0 - self._back else (found, drift, multiplier)
+        drift = self._drift(approach.path, self._size(approach.path))
+        multiplier = self._multiplier(approach.matrix)
+        return None if drift is None or multiplier >= 1.0 - self._back else (approach, drift, multiplier)
 
     def _cycle(
         self, path: Path, events: EventSeries, period: float, drift: Floats, multiplier: float | None, why: str
     ) -> Attractor:
-        listed, states = _from_lowest(path, events, period, drift)
+        of_period, states = _from_lowest(path, events, period, drift)
         size, free = self._extent(path), null_space(self._system)
-        return Attractor("periodic", why, period, multiplier, None, drift, listed, states, size, free)
+        return Attractor("periodic", why, period, multiplier, None, drift, of_period, states, size, free)
 
     def _drift(self, path: Path, size: float, larger: float = _LARGER) -> Floats | None:
         """By what z has moved without a change of the forces, if the last state of a round is otherwise the first.
@@ -452,7 +452,7 @@ class _End:
         None if it is not; and if the motion is not so many times larger than what it may miss itself by: what dies
         out has no period, and a motion so small cannot be told from that.
         """
-        dz, dw = (one[-1] - one[0] for one in (path.states.z, path.states.w))
+        dz, dw = (states[-1] - states[0] for states in (path.states.z, path.states.w))
         drift = dz - across(self._system, dz)
         allowed = self._back * size
         if (np.abs(drift) <= allowed).all():
@@ -463,8 +463,8 @@ class _End:
     def _extent(self, path: Path) -> float:
         """How large the motion is, but for what no spring holds."""
         t, z, w = path.states.t, path.states.z, path.states.w
-        moved = z[-1] - z[0]
-        drift = moved - across(self._system, moved)
+        shift = z[-1] - z[0]
+        drift = shift - across(self._system, shift)
         return float(max(np.abs(w - drift / (t[-1] - t[0])).max(), path.extent(drift)))
 
     def _size(self, path: Path) -> float:
@@ -478,14 +478,14 @@ class _End:
 
     def _multiplier(self, matrix: Floats) -> float:
         """The largest multiplier; 0 if it cannot be told from that."""
-        found = largest(matrix, null_space(self._system))
-        return found if found > self._close else 0.0
+        modulus = largest(matrix, null_space(self._system))
+        return modulus if modulus > self._close else 0.0
 
     def _distance(self, path: Path, drift: Floats, matrix: Floats) -> float:
         """How far a state is from its cycle: what it misses itself by, over 1 - M."""
-        s, n, missed, held = self._system, self._system.n, path.missed(drift), matrix.copy()
-        missed[:n], held[:n] = across(s, missed[:n]), across(s, held[:n].T).T
-        off = np.linalg.lstsq(np.identity(2 * n) - held, missed, rcond=1e-12)[0]
+        s, n, missed, reduced = self._system, self._system.n, path.missed(drift), matrix.copy()
+        missed[:n], reduced[:n] = across(s, missed[:n]), across(s, reduced[:n].T).T
+        off = np.linalg.lstsq(np.identity(2 * n) - reduced, missed, rcond=1e-12)[0]
         return float(np.abs(off).max())
 
     # ---------------------------------------------------------------------------------------------- no cycle
@@ -528,8 +528,8 @@ class _End:
 
     def _torus(self, rate: float, events: EventSeries | None, states: Samples) -> Attractor:
         """The response to forces that are incommensurate: runs that begin next to each other come together there."""
-        listed = ", ".join(f"{f:.6g}" for f in self._frequencies)
-        why = f"deviations decay, under forces of the frequencies {listed}, which have no common period"
+        frequencies = ", ".join(f"{f:.6g}" for f in self._frequencies)
+        why = f"deviations decay, under forces of the frequencies {frequencies}, which have no common period"
         return Attractor("torus", why, growth_rate=rate, events=events, states=states)
 
     def _growth(self, length: float) -> Growth | None:
