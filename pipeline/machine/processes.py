@@ -200,7 +200,7 @@ def forked_workers() -> Iterator[None]:
     with scratch() as own, ErrorStream() as errors, environment_kept():
         # nothing is loaded from the working directory; what a killed worker leaves goes with the others'
         os.environ |= _environment() | {"PYTHONSAFEPATH": "1", "TMPDIR": own.path}
-        settings["tempdir"] = f"/proc/self/fd/{own.descriptor}"  # however long its path, a socket's has 107 bytes
+        settings["tempdir"] = own.pinned  # however long its path, a socket's has 107 bytes
         server.set_forkserver_preload(["stickslip.pipeline.running.preload"])
         with _silent(), blocked():  # starts what removes semaphores: of those of a process that ends at once, no word
             pass

@@ -7,9 +7,9 @@ import fcntl
 import os
 import shutil
 import socket
+import sys
 import tempfile
 from collections.abc import Iterator
-from functools import partial
 from typing import NamedTuple
 
 from stickslip.pipeline.machine.signals import last_act, unbroken
@@ -17,6 +17,8 @@ from stickslip.pipeline.machine.signals import last_act, unbroken
 #: Names are this machine's: a lock may not be seen by others that mount the same file system.
 _PREFIX = f"stickslip-scratch-{socket.gethostname()}-"
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
+#: How often a directory is removed, in which processes that end may still write.
+_REMOVALS = 10
 
 
 class Scratch(NamedTuple):
@@ -24,6 +26,21 @@ class Scratch(NamedTuple):
 
     path: str
     descriptor: int
+
+    @property
+    def pinned(self) -> str:
+        """A short path of the directory for this process's children, under which nobody can create it again.
+
+        A child may be late: it would make a removed `path` anew, and nobody would remove that.
+        """
+        return f"/proc/{os.getpid()}/fd/{self.descriptor}" if sys.platform == "linux" else self.path
+
+    def remove(self) -> None:
+        """Remove the directory with all that is in it; of what cannot be removed, nothing is said."""
+        for _ in range(_REMOVALS):
+            shutil.rmtree(self.path, ignore_errors=True)
+            if not os.path.lexists(self.path):
+                break
 
 
 @contextlib.contextmanager
@@ -43,10 +60,9 @@ def scratch(parent: str | None = None) -> Iterator[Scratch]:
     with contextlib.ExitStack() as opened:
         with unbroken():  # a signal waits until it is known what is to be removed
             directory = _locked(parent)
-            remove = partial(shutil.rmtree, directory.path, ignore_errors=True)
             opened.callback(os.close, directory.descriptor)
-            opened.callback(remove)
-            opened.enter_context(last_act(remove))
+            opened.callback(directory.remove)
+            opened.enter_context(last_act(directory.remove))
         yield directory
 
 

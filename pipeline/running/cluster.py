@@ -402,7 +402,7 @@ def _start(
         raise ScheduleError(
             f"expected a directory in which workers can write, got {where} ({error}); {remedy(error)}, or set TMPDIR"
         ) from error
-    settings = {**_LOCAL_CLUSTER, "temporary-directory": directory.path}
+    settings = {**_LOCAL_CLUSTER, "temporary-directory": directory.pinned}
     settings["distributed.worker.multiprocessing-method"] = "spawn" if processes.forks is None else "forkserver"
     opened.enter_context(dask.config.set(settings))  # it sets variables here too, for workers to inherit
     options = {"host": "127.0.0.1", "port": 0, "protocol": "tls://", "security": Security.temporary()}

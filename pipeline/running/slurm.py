@@ -141,7 +141,7 @@ def _seconds(time: str) -> int:
 def _start(kind: type[Any], settings: dict[str, Any], n_jobs: int, opened: contextlib.ExitStack) -> Client:
     # of its own, as above: this process, which has the scheduler, looks for modules there too
     directory = opened.enter_context(scratch())
-    opened.enter_context(dask.config.set({"temporary-directory": directory.path}))
+    opened.enter_context(dask.config.set({"temporary-directory": directory.pinned}))
     with unbroken():  # a cluster that is half built, or half closed, would leave its jobs behind
         cluster = kind(**settings)
         opened.callback(_close, cluster)

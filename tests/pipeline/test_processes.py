@@ -7,6 +7,7 @@ import fcntl
 import json
 import math
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -189,6 +190,19 @@ def test_a_directory_that_cannot_be_locked_is_no_hindrance(tmp_path, monkeypatch
     with scratch(str(tmp_path)) as own, scratch(str(tmp_path)) as other:
         assert own.path != other.path
         assert len(list(tmp_path.iterdir())) == 2
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_directory_goes_in_which_a_process_still_writes_as_it_is_removed(tmp_path, monkeypatch):
+    remove = shutil.rmtree
+
+    def removed(path, **how):
+        monkeypatch.setattr(shutil, "rmtree", remove)
+        remove(path, **how)
+        (Path(path) / "late").mkdir(parents=True)  # where a folder that is not empty stays
+
+    with scratch(str(tmp_path)):
+        monkeypatch.setattr(shutil, "rmtree", removed)
     assert not any(tmp_path.iterdir())
 
 
