@@ -1,8 +1,8 @@
 """Workers as jobs of Slurm: asked for once there is work, replaced when their time is over, and cancelled at the end.
 
 The scheduler is in this process. It and the workers obey only a certificate that is made for the one run, and open no
-page. Workers find the certificate in files that only their owner can read, in the directory in which the run was
-started, where jobs begin.
+page. Workers find the certificate in files that only their owner can read, in a directory of its own in the one in
+which the run was started.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import re
 import shlex
 import signal
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import dask
@@ -45,6 +46,10 @@ RETRY = 60.0
 _MEMORY = re.compile(r"(\d+)([KMGT])?B?", re.IGNORECASE)
 #: Slurm's forms of a time: minutes, minutes:seconds, hours:minutes:seconds, days-hours, and so on.
 _TIME = re.compile(r"(?:(\d+)-)?(\d+)(?::(\d+))?(?::(\d+))?")
+
+
+#: Who shows dask's certificate.
+_ROLES = ("client", "scheduler", "worker")
 
 
 @contextlib.contextmanager
@@ -115,8 +120,6 @@ def job_settings(workers: int, options: Sequence[str]) -> dict[str, Any]:
         ],
         "job_script_prologue": prologue,
         "worker_extra_args": [*how_long, *no_pages],
-        "security": Security.temporary(),
-        "shared_temp_directory": os.getcwd(),
         "scheduler_cls": QuietScheduler,
     }
 
@@ -142,12 +145,24 @@ def _start(kind: type[Any], settings: dict[str, Any], n_jobs: int, opened: conte
     # of its own, as above: this process, which has the scheduler, looks for modules there too
     directory = opened.enter_context(scratch())
     opened.enter_context(dask.config.set({"temporary-directory": directory.pinned}))
+    security = certificate(Path(opened.enter_context(scratch(os.getcwd())).path))
     with unbroken():  # a cluster that is half built, or half closed, would leave its jobs behind
-        cluster = kind(**settings)
+        cluster = kind(**settings, security=security)
         opened.callback(_close, cluster)
     # not `scale`: what is adapted is also replaced, when a job's time is over or its node fails
     cluster.adapt(minimum_jobs=n_jobs, maximum_jobs=n_jobs)
     return opened.enter_context(Client(cluster, set_as_default=False))
+
+
+def certificate(directory: Path) -> Security:
+    """A certificate for one run, in files: what dask-jobqueue writes of it, a driver that is killed would leave."""
+    content = Security.temporary()
+    files = {"cert": directory / "cert.pem", "key": directory / "key.pem"}
+    for part, text in (("cert", content.tls_worker_cert), ("key", content.tls_worker_key)):
+        files[part].touch(0o600)
+        files[part].write_text(text)
+    of_roles = {f"tls_{role}_{part}": str(file) for part, file in files.items() for role in _ROLES}
+    return Security(require_encryption=True, tls_ca_file=str(files["cert"]), **of_roles)
 
 
 def cluster_of_jobs() -> type[Any]:

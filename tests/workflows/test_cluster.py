@@ -54,7 +54,7 @@ def test_what_slurm_is_told(tmp_path, monkeypatch):
     before = signal.getsignal(signal.SIGINT)
     options = ["cpus-per-task=8", "mem-per-cpu=3G", "time=90", "partition=long", "--account=blocks", "exclusive"]
     settings = slurm.job_settings(64, [*options, "comment=two words"])
-    with slurm.cluster_of_jobs()(**settings) as cluster:
+    with slurm.cluster_of_jobs()(**settings, security=slurm.certificate(tmp_path)) as cluster:
         script = cluster.job_script()
         assert cluster.scheduler_address.startswith("tls://")
         assert cluster.scheduler.services == {}  # no web server
@@ -204,7 +204,7 @@ def test_what_a_killed_driver_left_goes_with_the_next(scene_file, tmp_path):
     with in_little(tmp_path, scene_file, REFUSES, "--no-report") as (process, _):
         _, err = process.communicate(timeout=120)
     assert process.returncode == 1, err
-    assert not [*tmp_path.glob("stickslip-*")]
+    assert not [*tmp_path.glob("stickslip-*"), *tmp_path.glob(".dask-*")]
 
 
 @pytest.mark.long
