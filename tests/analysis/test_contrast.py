@@ -147,11 +147,17 @@ def test_what_is_zero_within_its_interval_has_no_ratio():
 
 
 def test_no_ratio_has_an_interval_below_minus_100_percent():
-    """Of what is positive, by the scatter of a first value near zero: the difference is given instead."""
+    """Of what is positive: by the scatter of a first value near zero, or as Student's interval of 2.3 / 10 does."""
     first, second = of([0.1, 0.2, 0.3, 8.0]), of([0.1, 9.0, 0.2, 12.0], first=10)
     found = contrast(Statistic("mean", ratio, 0.1, least=0.0), first, second, False, 0.95)
     assert found.difference.scale is Scale.ABSOLUTE
     assert found.first.low == 0.0
+    first = of([10.0, 10.0, 10.1, 9.9])
+    beyond = contrast(MEAN, first, of([0.1, 0.1, 0.1, 9.0]), True, 0.95)
+    assert (beyond.relative.value, beyond.difference.scale) == (None, Scale.ABSOLUTE)
+    assert beyond.absolute.low < -10.0
+    assert contrast(MEAN, first, of([0.1, 0.1, 0.2, 0.1]), True, 0.95).relative.low > -1.0
+    assert contrast(MEAN, first, of([-3.1, -3.1, -3.1, 9.0]), True, 0.95).relative.low < -1.0  # not positive
 
 
 def test_a_sample_is_the_planted_one(planted):

@@ -109,6 +109,15 @@ def test_one_block_slips_by_twice_the_drop_after_it_was_loaded_by_as_much():
     np.testing.assert_array_equal(found.duration, run.loaded.elapsed)
 
 
+@pytest.mark.parametrize("more", [0.0, 1e-12, 1e-3])
+def test_only_blocks_that_give_way_at_one_instant_leave_together(more):
+    """Two by themselves, loaded from 0 to their static frictions, of which one is `more` than the other."""
+    system = System(np.eye(2), 0.1, 1.0, -0.25, static=[1.5, 1.5 + 1.5 * more])
+    loaded = simulate(system, 0.0, "belt", 7.0, load="adiabatic").loaded
+    assert loaded.t == pytest.approx([6.0, 6.0 + 6.0 * more] if more else [6.0], rel=1e-14)
+    assert loaded.size.tolist() == ([1, 1] if more else [2])
+
+
 def test_slow_belts_have_these_events_in_the_limit():
     """With an error in proportion to the speed, as long as chaos has not told them apart."""
     rng = np.random.default_rng(1)
