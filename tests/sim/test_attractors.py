@@ -16,6 +16,7 @@ from stickslip.sim.attractors.growth import _of as rate_of
 from stickslip.sim.attractors.growth import growth
 from stickslip.sim.attractors.multipliers import exponential
 from stickslip.sim.attractors.null_space import null_space
+from stickslip.sim.engines.certificates import steady_sliding
 from stickslip.workflows.gallery.field import two_blocks
 from stickslip.workflows.gallery.field.forced import Forced, most_friction, shape, sliding_cycle
 from stickslip.workflows.gallery.field.one_block import period
@@ -318,6 +319,16 @@ def test_steady_sliding_is_found_where_a_block_never_sticks_and_is_certain_nowhe
             assert all(settled(BSTAB, z, w, t_end, tol=1e-8).kind != "sliding" for t_end in (0.5, 2.0, 4.0))
     assert kinds["sliding", True] == kinds["periodic", False] == 0
     assert min(kinds["sliding", False], kinds["periodic", True]) > 0
+
+
+@pytest.mark.parametrize(("share", "is_certain"), [(0.2, True), (0.95, False)])
+def test_sliding_is_certain_by_the_friction_that_blocks_come_to(share, is_certain):
+    """It is flat at the belt's speed, and half as much again near rest: who swings by 0.95 of that speed sticks."""
+    system = System([[1.0]], 0.05, 1.0, -1.0, static=1.5, weakening=Stribeck(0.1))
+    z = -system.kinetic(np.ones(1))
+    for w in (np.array([share]), np.array([-share])):
+        assert bool(steady_sliding(system, z, w, np.ones(1, dtype=np.int8))) == is_certain
+        assert bool(len(simulate(system, z, w, 100.0, stop_early=False).events)) != is_certain
 
 
 # ---------------------------------------------------------------------------------------------- another method
