@@ -476,6 +476,16 @@ def test_a_run_that_was_killed_is_told_by_manifest_and_record_together(copy, sce
     assert read_manifest(copy).recorded_from is None
 
 
+def test_a_run_that_was_killed_after_its_last_commit_lacks_its_description_alone(copy, scene, finished):
+    whole = read_manifest(copy)
+    began = whole.model_copy(update={"shards": {}, "recorded_from": 0, "package": None})
+    (copy / "manifest.json").write_bytes(began.to_bytes())
+    (copy / "datapackage.json").unlink()
+    run_ensemble(scene, copy, workers=0)
+    for name in ("manifest.json", "datapackage.json"):
+        assert (copy / name).read_bytes() == (finished / name).read_bytes()
+
+
 def test_the_digest_of_a_dataset_is_of_every_shard_and_its_content(finished):
     manifest = read_manifest(finished)
     assert manifest.digest == read_manifest(finished).digest

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from stickslip.sim import Harmonic, Piecewise, Rational, System, simulate
+from stickslip.sim.engines.certificates import Friction, Settling
 
 K = np.array([[2.0, -1.0], [-1.0, 2.0]])
 START = ([3.0, 1.0], 0.0)
@@ -51,6 +53,23 @@ def test_the_motion_that_is_followed_is_that_of_the_equations():
     assert early.stats.n_steps < late.stats.n_steps
     np.testing.assert_allclose(early.samples.z, late.samples.z, rtol=0, atol=1e-6)
     np.testing.assert_array_equal(early.events.t, late.events.t)
+
+
+@pytest.mark.parametrize("allowed", [1e-3, 1e-6])
+def test_the_farthest_start_that_is_followed_is_followed_within_the_error_allowed(allowed):
+    """A block creeps by w' = -0.1 w - z - tanh(w / 0.01): by Radau's method, which shares no code."""
+    delta, times = 0.01, np.linspace(0.0, 500.0, 101)
+    friction = Friction(lambda u: np.tanh(u / delta), lambda u: 1.0 / (delta * np.cosh(u / delta) ** 2))
+    settling = Settling(System([[1.0]], 0.1, 1.0, 0.0), np.zeros(1), np.zeros(1), friction, allowed)
+    starts = [(z, -delta * np.arctanh(z)) for z in np.geomspace(1e-3, 0.5, 40)]
+    flows = [settling.flow(np.array([z]), np.array([w])) for z, w in starts]
+    farthest = max(k for k, flow in enumerate(flows) if flow is not None)
+    assert farthest < len(starts) - 1
+    motion = solve_ivp(
+        lambda _, y: [y[1], -0.1 * y[1] - y[0] - np.tanh(y[1] / delta)],
+        (0.0, times[-1]), starts[farthest], "Radau", times, rtol=1e-9, atol=1e-12,
+    )  # fmt: skip
+    assert np.abs(flows[farthest][0].at(times)[0][:, 0] - motion.y[0]).max() < allowed
 
 
 def test_blocks_that_no_spring_holds_rest_where_they_come_to_rest():
