@@ -24,6 +24,8 @@ from stickslip.workflows.commands import main
 from stickslip.workflows.reporting import report
 from tests.scenes import ensemble
 
+N, T_END = 12, 40.0  # of the small scene: values are just beyond what they can be
+
 
 def forge(place, name):
     """Have the manifest say of a shard what is there, but for its rows."""
@@ -68,17 +70,17 @@ CRAFTS = {
     "events of unequal lengths": lambda table: first(table, "event_mode", lambda values: [*values, 1]),
     "times out of order": lambda table: first(table, "event_t", lambda t: t[::-1]),
     "times before the start": lambda table: first(table, "event_t", lambda t: [-1.0, *t[1:]]),
-    "times after the end": lambda table: first(table, "event_t", lambda t: [*t[:-1], 1e9]),
+    "times after the end": lambda table: first(table, "event_t", lambda t: [*t[:-1], T_END * (1 + 1e-9)]),
     "no start": lambda table: first(table, "t", lambda t: [0.1, *t[1:]]),
     "an empty series": lambda table: first(first(table, "t", lambda t: []), "n_stick", lambda values: []),
     "two changes at one time": lambda table: first(table, "t", lambda t: [*t[:2], t[1], *t[3:]]),
     "a run without a series": lambda table: first(first(table, "t", lambda t: None), "n_stick", lambda values: None),
-    "a block that is none": lambda table: first(table, "event_block", lambda values: [99, *values[1:]]),
+    "a block that is none": lambda table: first(table, "event_block", lambda values: [N, *values[1:]]),
     "a block below none": lambda table: first(table, "event_block", lambda values: [-1, *values[1:]]),
-    "a mode that is none": lambda table: first(table, "event_mode", lambda values: [7, *values[1:]]),
+    "a mode that is none": lambda table: first(table, "event_mode", lambda values: [2, *values[1:]]),
     "modes of too many blocks": lambda table: first(table, "initial_mode", lambda values: [*values, 0]),
     "a negative number of sticking blocks": lambda table: first(table, "n_stick", lambda values: [-5, *values[1:]]),
-    "too many sticking blocks": lambda table: first(table, "n_stick", lambda values: [10**6, *values[1:]]),
+    "too many sticking blocks": lambda table: first(table, "n_stick", lambda values: [N + 1, *values[1:]]),
     "a negative count": lambda table: first(table, "n_steps", lambda _: -1),
     "an outcome that is none": lambda table: first(table, "outcome", lambda _: "won"),
     "another member's name": lambda table: first(table, "member_id", lambda name: f"{name}x"),
