@@ -88,12 +88,8 @@ def plot(
 
     Axes that are given have the style of whoever made them; a new figure has matplotlib's own.
 
-    Raises
-    ------
-    ValueError
-        If the kind is unknown, needs samples and there are none, or an option has no such value.
-    TypeError
-        If an option is unknown to the kind, or of the wrong type.
+    Raises `ValueError` if the kind is unknown, needs samples and there are none, or an option has no such value;
+    `TypeError` if an option is unknown to the kind, or of the wrong type.
     """
     if kind not in tuple(KINDS):
         raise ValueError(f"kind: expected one of {', '.join(KINDS)}, got {kind!r}{did_you_mean(kind, KINDS)}")

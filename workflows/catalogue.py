@@ -19,12 +19,8 @@ def write(dataset: Where, out: str | os.PathLike[str]) -> None:
     Columns are those of `stickslip.analysis.catalogue`, member_id, matrix, and each of the keys of systems and of
     engines whose values differ.
 
-    Raises
-    ------
-    QueryError
-        If the scene records neither, or the file cannot be written or is part of the dataset.
-    StoreError
-        If there is no readable dataset.
+    Raises `QueryError` if the scene records neither, or the file cannot be written or is part of the dataset;
+    `StoreError` if there is no readable dataset.
     """
     opened = open_dataset(dataset)
     design = opened.design

@@ -43,10 +43,7 @@ _ENDINGS: dict[str, Form] = {".csv": "csv", ".parquet": "parquet", ".mat": "mat"
 def form_of(asked: Form | None, out: Path | None) -> Form:
     """The form asked for, or else the one that the file's name implies.
 
-    Raises
-    ------
-    QueryError
-        If it says none that an answer can have.
+    Raises `QueryError` if it says none that an answer can have.
     """
     if asked is not None:
         return asked
@@ -62,10 +59,7 @@ def form_of(asked: Form | None, out: Path | None) -> Form:
 def write(batches: pa.RecordBatchReader, form: Form, out: Path | None, dataset: Where) -> None:
     """Write an answer to a file, which appears once it is complete, or to the standard output.
 
-    Raises
-    ------
-    QueryError
-        If the file cannot be written or is part of the dataset, or the form cannot hold the answer.
+    Raises `QueryError` if the file cannot be written or is part of the dataset, or the form cannot hold the answer.
     """
     if form == "csv":
         _flat(batches.schema)

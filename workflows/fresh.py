@@ -38,10 +38,7 @@ def is_current(opened: Opened) -> bool:
 
     Whether what a user's own questions are answered by is as it was is not looked at.
 
-    Raises
-    ------
-    StoreError
-        If it is, but data that it was made from are gone or cut.
+    Raises `StoreError` if it is, but data that it was made from are gone or cut.
     """
     is_made = made_from(opened).encode() in _head(opened)
     if is_made and (lost := opened.lost):

@@ -34,12 +34,8 @@ def write(path: Where, out: Path) -> None:
 
     Lists are read shard by shard: memory is that of the members table and of a shard.
 
-    Raises
-    ------
-    QueryError
-        If netCDF4 is not installed, or the file cannot be written.
-    StoreError
-        If there is no readable dataset.
+    Raises `QueryError` if netCDF4 is not installed, or the file cannot be written; `StoreError` if there is no
+    readable dataset.
     """
     try:
         import netCDF4

@@ -71,10 +71,7 @@ def tasks(opened: Opened, folder: Path, with_pdf: bool) -> list[Task]:
 def check(scene: Scene, folder: Path, name: str) -> None:
     """See that the code of a scene's questions can be loaded, before hours are spent on its runs.
 
-    Raises
-    ------
-    SceneError
-        If some cannot; one line a problem. `name` is what they call the scene.
+    Raises `SceneError` if some cannot; one line a problem. `name` is what they call the scene.
     """
     loading = [Task(entry, str(folder)) for entry in names(scene)]
     for task in loading:  # a file that is not there is told without a process

@@ -61,10 +61,7 @@ class Parts:
 
         With the shards of the runs beside these, which mostly lie in the same part.
 
-        Raises
-        ------
-        ScheduleError
-            If dask's scheduler or its workers are lost, or are of another version.
+        Raises `ScheduleError` if dask's scheduler or its workers are lost, or are of another version.
         """
         part = np.searchsorted(self._ends, some.row, side="right")
         places = by_number(part)

@@ -176,10 +176,8 @@ def report(
 ) -> Report:
     """Build the report of the dataset at `path` from the dataset alone, under the settings of its scene.
 
-    Raises
-    ------
-    pipeline.StoreError
-        If there is no readable dataset, no member of it is done yet, or a run replaces what the report reads.
+    Raises `pipeline.StoreError` if there is no readable dataset, no member of it is done yet, or a run replaces what
+    the report reads.
     """
     opened = _begun(path)
     scene = opened.scene
@@ -198,12 +196,8 @@ def report(
 def compared(path: Where, other: Where) -> Report:
     """Set the statistics of two datasets side by side, under the settings and margins of the first one's scene.
 
-    Raises
-    ------
-    pipeline.StoreError
-        If one is no readable dataset, no member of it is done yet, or a run replaces what is compared.
-    ValueError
-        If they have nothing in common.
+    Raises `pipeline.StoreError` if one is no readable dataset, no member of it is done yet, or a run replaces what is
+    compared; `ValueError` if they have nothing in common.
     """
     places = (path, other)
     begun = [_begun(where) for where in places]
@@ -303,10 +297,7 @@ def write(built: Report, where: Where) -> str:
     theirs in `report/files.txt`, each with the sha256 that it has to have: a file that somebody else put there stays.
     One that is killed on the way leaves a list of all that may be there, which says so.
 
-    Raises
-    ------
-    OSError
-        If a file cannot be written; files already there stay whole.
+    Raises `OSError` if a file cannot be written; files already there stay whole.
     """
     place = place_of(where)
     if isinstance(place, Directory):

@@ -56,12 +56,7 @@ def new_scene(file: Path) -> list[str]:
 
     A name that does not end in .toml is given that ending, without which it would not be found as a scene.
 
-    Raises
-    ------
-    NotWritten
-        If there is a file or a directory of that name.
-    OSError
-        If it cannot be written.
+    Raises `NotWritten` if there is a file or a directory of that name; `OSError` if it cannot be written.
     """
     if file.is_dir():
         raise NotWritten(f"FILE: expected the name of a new file, got the directory {str(file)!r}; name a file in it")

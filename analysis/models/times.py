@@ -135,10 +135,7 @@ class Times(UnitSums):
         (Andersen, Klein and Rosthoj 2003, Biometrika 90, 15, here to first order). Where both are of the same units
         their differences are paired.
 
-        Raises
-        ------
-        ValueError
-            If the limit is no time > 0, or no run is followed to it while some have not had it.
+        Raises `ValueError` if the limit is no time > 0, or no run is followed to it while some have not had it.
         """
         if not (0.0 < limit < np.inf and self.reaches(limit)):
             raise ValueError(
@@ -159,11 +156,8 @@ def median_difference(first: Times, second: Times, paired: bool, is_relative: bo
     Price 2002, Psychol. Methods 7, 370). That interval is of the times at which the share left is one half, within
     its error over units. If paired, both have the same units, over which the two shares are correlated.
 
-    Raises
-    ------
-    Undefined
-        If a median is not reached, the runs are not followed to an end of its interval, or the first is zero and the
-        difference is to be relative to it.
+    Raises `Undefined` if a median is not reached, the runs are not followed to an end of its interval, or the first
+    is zero and the difference is to be relative to it.
     """
     medians, errors, shifts = zip(*(times._at_half() for times in (first, second)), strict=True)
     shared = correlation(*shifts) if paired else 0.0

@@ -75,10 +75,7 @@ class Alone(NamedTuple):
 def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Report:
     """Report that compares two ensembles, under the settings of the first.
 
-    Raises
-    ------
-    ValueError
-        If they have no settings to compare, or an ensemble contradicts itself or the settings.
+    Raises `ValueError` if they have no settings to compare, or an ensemble contradicts itself or the settings.
     """
     if first.digest and first.digest == second.digest:
         runs = Quantity("runs", f"runs that {first.name} and {second.name} both hold", Form.COUNT)

@@ -68,12 +68,8 @@ class Series(Protocol):
     def stacks(self, member_ids: Sequence[str]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """The attributes of a `Stack` of some members, in their order, in parts of any length.
 
-        Raises
-        ------
-        KeyError
-            If there are none of a member; its argument is the member.
-        NoSeries
-            If some are not of the form of change points; it names the place of the member among `member_ids`.
+        Raises `KeyError` if there are none of a member; its argument is the member; `NoSeries` if some are not of the
+        form of change points; it names the place of the member among `member_ids`.
         """
         ...
 

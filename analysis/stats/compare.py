@@ -91,10 +91,7 @@ def _welch(error_a: float, error_b: float, n_a: int, n_b: int) -> tuple[float, f
 def against(of: Statistic, rows: np.ndarray) -> Compared:
     """A difference that is itself a statistic of sums, one row a matrix; jackknife-t as in `over_matrices`.
 
-    Raises
-    ------
-    Undefined
-        If it has no value on all rows, or with one row left out, or if there is only one row.
+    Raises `Undefined` if it has no value on all rows, or with one row left out, or if there is only one row.
     """
     rows = with_data(rows)
     if len(rows) < 2:
@@ -179,10 +176,7 @@ def bounded_ratio(first: np.ndarray, second: np.ndarray, paired: bool, most: flo
     Its ends are where an end of the interval of second - r first is zero (Donner and Zou 2012, Stat. Methods Med.
     Res. 21, 347). Paired numbers have Student's interval, as there.
 
-    Raises
-    ------
-    Undefined
-        If the first is zero.
+    Raises `Undefined` if the first is zero.
     """
     p, q = (Proportion.of(rows / [most, 1.0]) for rows in (first, second))
     if not p.share:

@@ -120,11 +120,8 @@ class Opened:
 
         A file is read once: what is checked is what is used, whoever exchanges it meanwhile.
 
-        Raises
-        ------
-        StoreError
-            If a shard is not what was written, was changed since the dataset was opened, or is not there; or its
-            values are none that the scene gives.
+        Raises `StoreError` if a shard is not what was written, was changed since the dataset was opened, or is not
+        there; or its values are none that the scene gives.
         """
         listed = self.manifest.shards
         names = sorted(listed) if shards is None else shards

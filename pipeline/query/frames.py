@@ -224,7 +224,7 @@ def episodes(path: Where | Opened) -> pd.DataFrame:
     Raises
     ------
     QueryError
-        If the scene does not record episodes.
+        If the scene does not record them.
     StoreError
         If there is no readable dataset.
     """
@@ -240,12 +240,7 @@ def clusters(path: Where | Opened) -> pd.DataFrame:
         `member_id`; `episode`, the number of the episode among those of the member; `start`, `end`; `first_block`,
         the nucleation site; `size`, the number of blocks; `moment`; `stress_drop`; see `sim.episodes.Clusters`.
 
-    Raises
-    ------
-    QueryError
-        If the scene does not record clusters.
-    StoreError
-        If there is no readable dataset.
+    Raises as `episodes`.
     """
     return _table(path, "clusters", "cluster_")
 
@@ -253,12 +248,7 @@ def clusters(path: Where | Opened) -> pd.DataFrame:
 def profiles(path: Where | Opened) -> pd.DataFrame:
     """The slip of each block of each of the `clusters`: member_id, `cluster`, its number, `block`, `slip`.
 
-    Raises
-    ------
-    QueryError
-        If the scene does not record clusters.
-    StoreError
-        If there is no readable dataset.
+    Raises as `episodes`.
     """
     return _table(path, "clusters", "profile_")
 

@@ -209,7 +209,7 @@ class _Filling:
         self._store.note(f"began {time.time():.3f}")
         if not self._store.todo:
             return
-        compute_order = _compute_here if self._workers.is_here else compute_there
+        compute_order = (lambda order: compute(*order)) if self._workers.is_here else compute_there
         # closed at once if a commit fails or the user interrupts, and the workers with it
         with (
             self._executor() as executor,
@@ -274,10 +274,6 @@ class _Filling:
             return None
         cold = " and ".join(self._cold)
         return f"{cold} to be compiled, once: half a minute of a core" if cold else "the first shard"
-
-
-def _compute_here(order: Order) -> Result:
-    return compute(*order)
 
 
 def _cold_there(client: Client, engines: tuple[str, ...]) -> tuple[str, ...]:

@@ -82,10 +82,7 @@ def scales_of(system: System, table: Mapping[str, Any]) -> dict[str, float]:
 
     To divide by a power of two and multiply again loses nothing: numbers come back as they were written.
 
-    Raises
-    ------
-    ValueError
-        If there is nothing by which to scale.
+    Raises `ValueError` if there is nothing by which to scale.
     """
     time, length = TIMES[table["time"]], (LENGTHS | ANGLES)[table.get("length") or table["angle"]]
     mass = (MASSES | INERTIAS)[table.get("mass") or table["inertia"]]

@@ -46,10 +46,7 @@ def cache_directory() -> Path:
 def has_kernel(package: str) -> bool:
     """Whether a kernel of a package, or of a module, is kept.
 
-    Raises
-    ------
-    CacheError
-        If others could write there.
+    Raises `CacheError` if others could write there.
     """
     try:
         with _opened(cache_directory()) as directory:
@@ -83,10 +80,7 @@ class CacheFiles:
 
         If another process is compiling it, wait for its result.
 
-        Raises
-        ------
-        CacheError
-            If others could have written it.
+        Raises `CacheError` if others could have written it.
         """
         entry = self._read(key)
         if entry is None and repr(key) not in self._locks:

@@ -38,10 +38,7 @@ def chart(name: str) -> type[ChartScene]:
 def load_chart(file: Path) -> ChartScene:
     """Read a scene file that `stickslip.workflows.scenes.chart_of` found to be a chart.
 
-    Raises
-    ------
-    SceneError
-        If it is not a scene of a known chart; one line a problem.
+    Raises `SceneError` if it is not a scene of a known chart; one line a problem.
     """
     table = parse_toml(read_source(file), str(file))
     if table["chart"] not in CHARTS:

@@ -82,10 +82,7 @@ class Weakening(ABC):
     def pieces(self) -> Pieces:
         """S by polynomials.
 
-        Raises
-        ------
-        ValueError
-            If S(0) is not 1, or S is not finite, jumps, or bends too often.
+        Raises `ValueError` if S(0) is not 1, or S is not finite, jumps, or bends too often.
         """
         law = type(self)
         _require_start(law)

@@ -105,10 +105,7 @@ def of_cubics(x: Floats, terms: Floats, last: float) -> Pieces:
 def sampled(curve: Callable[[Floats], Floats], fastest: float, name: str) -> Pieces:
     """The pieces of a curve up to a speed, beyond which it is constant.
 
-    Raises
-    ------
-    ValueError
-        If it is not finite, jumps, or takes more than 255 pieces for an error of 1e-5.
+    Raises `ValueError` if it is not finite, jumps, or takes more than 255 pieces for an error of 1e-5.
     """
 
     def values(x: Floats) -> Floats:
