@@ -124,15 +124,13 @@ def energy(system: System, run: Run, z0: ArrayLike, w0: ArrayLike, **settings: A
         rerun = simulate(
             system, z0, w0, series.t_end, t_start=series.t_start, t_eval=_nodes(edges_of_part), **settings
         )
-        if any(
-            a.tobytes() != b.tobytes() for a, b in ((rerun.events.t, series.t), (rerun.z, run.z), (rerun.w, run.w))
-        ):
+        pairs = (rerun.events.t, series.t), (rerun.z, run.z), (rerun.w, run.w)
+        if any(a.tobytes() != b.tobytes() for a, b in pairs):
             raise ValueError(
                 "run: expected that of this start and these settings, got another; pass those it was made with"
             )
-        if system.weakening is not None and len(finer := _finer(system, edges_of_part, rerun.samples)) > len(
-            edges_of_part
-        ):
+        finer = edges_of_part if system.weakening is None else _finer(system, edges_of_part, rerun.samples)
+        if len(finer) > len(edges_of_part):
             edges = np.concatenate([edges[:first], finer, edges[first + longest + 1 :]])
             continue
         modes = _modes(series, edges_of_part)

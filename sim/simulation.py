@@ -76,14 +76,13 @@ def simulate(
     Raises
     ------
     TypeError, ValueError
-        If an argument is unknown, or of the wrong kind, shape or size; the message names it.
+        If an argument is unknown, or of the wrong kind, shape or size.
     IntegrationError
         If the engine cannot go on.
     """
     chosen = as_engine(engine, settings)
     task = as_task(chosen, system, z0, w0, t_end, t_start, t_eval, modes, stop_early)
-    run = (chosen if load is None else loading(load, chosen)).integrate(task)
-    return with_names(run, system.names)
+    return with_names((chosen if load is None else loading(load, chosen)).integrate(task), system.names)
 
 
 def with_names(run: Run, names: tuple[str, ...]) -> Run:

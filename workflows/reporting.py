@@ -115,6 +115,8 @@ def _data(opened: Opened, whole: bool = False) -> Data:
         )
         for column in columns_kept
     }
+    columns = (column for record in scene.records for column in record.columns)
+    names_of_lists = [column.name for column in columns if column.kind == "numbers"]
     return Data(
         table,
         series=series(opened),
@@ -123,12 +125,7 @@ def _data(opened: Opened, whole: bool = False) -> Data:
         thresholds=by_threshold(opened),
         episodes=episodes(opened) if scene.record.episodes else None,
         recorded=recorded,
-        lists={
-            column.name: lists(opened, column.name)
-            for record in scene.records
-            for column in record.columns
-            if column.kind == "numbers"
-        },
+        lists={name: lists(opened, name) for name in names_of_lists},
         is_loaded=scene.run.load is not None,
         again=partial(_again, opened),
     )

@@ -122,16 +122,13 @@ def build(
 
     Parameters
     ----------
-    data : Data
+    data, settings : Data and AnalysisSettings
         The members and their records; `series` of every member that did not fail.
-    settings : AnalysisSettings
-    title, about : str
-        Shown at the head of the page, escaped.
-    provenance : mapping of str to str
-        Where the data come from, shown as given, escaped.
+    title, about, provenance : str, str and mapping of str to str
+        Shown at the head of the page, and where the data come from, as given; escaped.
     answers : callable, optional
-        Returns what `ask` returns for each question of this package that is asked, in their order, then
-        that of each of the user's own that was run; default: asks the former one after the other.
+        Returns what `ask` returns for each question of this package, then that of each of the user's own that was
+        run; default: asks the former one after the other.
     made_from : str, optional
         Digest of all this, kept at the head of the page.
 
@@ -142,22 +139,14 @@ def build(
     """
     refuse_unknown(settings.question)
     study = Study(data, settings)
-    answered = (
-        [ask(study, key) for key in package_questions(settings.question)] if answers is None else answers(study)
-    )
-    by_key = {question.key: question for question in answered if question is not None}
+    asked = answers or (lambda study: [ask(study, key) for key in package_questions(settings.question)])
+    by_key = {question.key: question for question in asked(study) if question is not None}
     questions = [question for question in by_key.values() if not question.problem]
     parts = [part(question, settings.units) for question in questions]
     lacking = [part for part in parts if part.answer.is_lack]
     leading, folded = _in_order(study, [part for part in parts if not part.answer.is_lack])
     lead, panels = _lead(leading), _panels(leading)
-    paragraph, head = "", PageTable()
-    if leading:
-        top = leading[0]
-        paragraph, head = top.answer.paragraph, top.head
-        if is_own(top.key):  # the page is the user's
-            title, about = top.title, _joined(title, about)
-        about = about or top.title
+    title, about = _title(leading, title, about)
     groups = groups_table(study)
     sources = {file: digest for question in questions for file, digest in question.sources.items()}
     sections = [
@@ -165,11 +154,12 @@ def build(
         *(part.section(panels, False, False) for part in folded),
         _provenance(study, groups, lacking, sources, provenance),
     ]
-    alerts = _alerts(study, leading, [part for part in parts if part not in leading])
     page = Page(
-        title, about, lead, panels, head, alerts,
+        title, about, lead, panels, leading[0].head if leading else PageTable(),
+        _alerts(study, leading, [part for part in parts if part not in leading]),
         [*_notes(settings.question, by_key, {part.key: part for part in lacking})], sections,
-        {"made-from": made_from} | ({"own-questions": "run"} if sources else {}), paragraph,
+        {"made-from": made_from} | ({"own-questions": "run"} if sources else {}),
+        leading[0].answer.paragraph if leading else "",
     )  # fmt: skip
     return Report(
         page.html,
@@ -179,6 +169,13 @@ def build(
         findings_json(title, lead, [*leading, *folded, *lacking]),
         {key: text for key, question in by_key.items() if (text := question.problem or "; ".join(question.missing))},
     )
+
+
+def _title(leading: Sequence[Part], title: str, about: str) -> tuple[str, str]:
+    """Title and lines below it; a question of the user's own that leads has the page."""
+    if leading and is_own(leading[0].key):
+        title, about = leading[0].title, _joined(title, about)
+    return title, about or (leading[0].title if leading else "")
 
 
 def _notes(asked: Iterable[str], questions: Mapping[str, Answered], lacking: Mapping[str, Part]) -> Iterator[str]:

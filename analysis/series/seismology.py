@@ -49,9 +49,8 @@ def catalogue(episodes: pd.DataFrame, seconds: float = 1.0) -> pd.DataFrame:
             raise ValueError(f"episodes: expected a finite {name} in each row, got none in row {row}; leave it out")
     moving = episodes[episodes["moment"] != 0]
     member = moving["member_id"] if "member_id" in moving else pd.Series("run", index=moving.index)
-    number = moving.groupby(member, sort=False).cumcount()
     columns = {
-        "id": member.astype(str) + "-" + number.astype(str),
+        "id": member.astype(str) + "-" + moving.groupby(member, sort=False).cumcount().astype(str),
         "time": pd.to_datetime(moving["start"] * seconds, unit="s", utc=True),
         "lat": 0.0,
         "lon": moving["first_block"] / 1000,
@@ -63,12 +62,8 @@ def catalogue(episodes: pd.DataFrame, seconds: float = 1.0) -> pd.DataFrame:
         "nucleation": moving["first_block"],
         "moment": moving["moment"],
     }
-    if "size" in moving:
-        columns["extent"] = moving["size"]
-    if "end" in moving:
-        columns["duration"] = moving["end"] - moving["start"]
-    if "elapsed" in moving:  # of adiabatic loading, where an episode takes no time of the belt
-        columns["duration"] = moving["elapsed"]
-    if "stress_drop" in moving:
-        columns["stress_drop"] = moving["stress_drop"]
+    if "end" in moving and "elapsed" not in moving:  # that of adiabatic loading takes no time of the belt
+        moving = moving.assign(elapsed=moving["end"] - moving["start"])
+    further = {"extent": "size", "duration": "elapsed", "stress_drop": "stress_drop"}
+    columns |= {column: moving[name] for column, name in further.items() if name in moving}
     return pd.DataFrame(columns).reset_index(drop=True)

@@ -248,6 +248,22 @@ def perturb_system(
         If `size` is out of range, the seed negative, a name unknown, the reading none of the coupling's, or
         the system is of no ensemble: K sparse, or the damping not diagonal.
     """
+    _require_perturbable(system, coupling, size, reading)
+    kind = _coupling(coupling)
+    rng, shape = _generator(seed), (system.n, system.n)
+    if reading == "relative":
+        u, r = _uniform(shape, rng, 1.0, (-1.0, 1.0))
+        stiffness = system.stiffness + size * kind.relative(system.stiffness, u)
+        return system.changed(stiffness=stiffness, damping=system.damping * (1.0 + size * r))
+    du, dr = _uniform(shape, rng, size * kappa, (-size * rho, size * rho))
+    stiffness, damping = system.stiffness + _on_diagonal(kind.rule(du), np.diag(du)), system.damping + dr
+    if reading == "damping matrix":
+        damping = _on_diagonal(rng.uniform(-size * rho, size * rho, shape), damping)
+    return system.changed(stiffness=stiffness, damping=damping)
+
+
+def _require_perturbable(system: System, coupling: str, size: float, reading: str) -> None:
+    """ValueError as of `perturb_system`."""
     if reading not in READINGS:
         raise ValueError(f"reading: expected one of {', '.join(READINGS)}, got {reading!r}")
     kind = _coupling(coupling)
@@ -266,13 +282,3 @@ def perturb_system(
         raise ValueError("system: expected a dense stiffness, as drawn by draw_system, got a sparse one")
     if system.cross_damping is not None:
         raise ValueError("system: expected a diagonal damping, as drawn by draw_system, got a full matrix")
-    rng, shape = _generator(seed), (system.n, system.n)
-    if reading == "relative":
-        u, r = _uniform(shape, rng, 1.0, (-1.0, 1.0))
-        stiffness = system.stiffness + size * kind.relative(system.stiffness, u)
-        return system.changed(stiffness=stiffness, damping=system.damping * (1.0 + size * r))
-    du, dr = _uniform(shape, rng, size * kappa, (-size * rho, size * rho))
-    stiffness, damping = system.stiffness + _on_diagonal(kind.rule(du), np.diag(du)), system.damping + dr
-    if reading == "damping matrix":
-        damping = _on_diagonal(rng.uniform(-size * rho, size * rho, shape), damping)
-    return system.changed(stiffness=stiffness, damping=damping)

@@ -192,8 +192,7 @@ def _run(
     print(f"data    {printable(out.named(DATA))}: {status.n_done} members, {status.n_bytes / 1e6:.2f} MB")
     for reason, count in status.failures.items():
         print(f"failed  {count}: {reason}", file=sys.stderr)
-    if scene.own_record is not None:
-        _say_problems(out)
+    _say_problems(scene, out)
     if status.failures:
         arguments.retry_failed = True
         copy = out.named(SCENE) if isinstance(out, Directory) else str(file)
@@ -210,10 +209,12 @@ def _load_report() -> None:
         import_module("stickslip.workflows.reporting")
 
 
-def _say_problems(out: Place) -> None:
+def _say_problems(scene: Scene, out: Place) -> None:
     """Why functions of the user's own gave no value, the commonest reasons."""
     from stickslip.pipeline.query import members
 
+    if scene.own_record is None:
+        return
     reasons = members(out, ["own_problem"])["own_problem"].value_counts()
     for reason, count in reasons.head(_REASONS).items():
         print(f"own     {count}: {printable(str(reason))}", file=sys.stderr)

@@ -42,9 +42,9 @@ LEAST = 1e-9
 
 
 @numba.njit
-def rates(stiffness, damping, friction, v, mode, y, rate, pull):  # type: ignore[no-untyped-def]
+def rates(numbers, mode, y, rate, pull):  # type: ignore[no-untyped-def]
     """(z, w)' into `rate`, and F = R v + K z of blocks at their belt's speed v."""
-    n = len(mode)
+    (stiffness, damping, friction, v), n = numbers, len(mode)
     np.dot(stiffness, y[:n], pull)
     for i in range(n):
         rate[i] = v if mode[i] == 0 else y[n + i]
@@ -88,7 +88,7 @@ def root(q, high):  # type: ignore[no-untyped-def]
 
 
 @numba.njit
-def attempt(stiffness, damping, friction, v, mode, y, h, tol, k, end, pull):  # type: ignore[no-untyped-def]
+def attempt(numbers, mode, y, h, tol, k, end, pull):  # type: ignore[no-untyped-def]
     """A step of size h from y to `end` by the stages 1 to 6 of `k`: the sum of its squared errors over `tol`."""
     for stage in range(1, 7):
         for i in range(len(y)):
@@ -96,7 +96,7 @@ def attempt(stiffness, damping, friction, v, mode, y, h, tol, k, end, pull):  # 
             for j in range(stage):
                 total += STAGES[stage, j] * k[j, i]
             end[i] = y[i] + h * total
-        rates(stiffness, damping, friction, v, mode, end, k[stage], pull)
+        rates(numbers, mode, end, k[stage], pull)
     norm = 0.0
     for i in range(len(y)):
         error = 0.0
@@ -112,16 +112,16 @@ def run(stiffness, damping, friction, v, y, mode, t_end, tol, most):  # type: ig
 
     Returns the products of K, -1 if `most` steps did not do, and the events: times, blocks, modes.
     """
-    n, t, h = len(mode), 0.0, 0.01
+    n, t, h, numbers = len(mode), 0.0, 0.01, (stiffness, damping, friction, v)
     k, f, end, q = np.zeros((7, 2 * n)), np.empty((2, n)), np.empty(2 * n), np.empty(5)
     slopes, times, blocks, modes = np.empty((2 * n, 4)), [t], [n], [n]
-    rates(stiffness, damping, friction, v, mode, y, k[0], f[0])
+    rates(numbers, mode, y, k[0], f[0])
     products = 1
     for _ in range(most):
         if t >= t_end:
             return products, times[1:], blocks[1:], modes[1:]
         h = min(h, t_end - t)
-        norm = attempt(stiffness, damping, friction, v, mode, y, h, tol, k, end, f[1])
+        norm = attempt(numbers, mode, y, h, tol, k, end, f[1])
         products += 6
         factor = min(10.0, max(0.2, 0.9 * max(norm / (2 * n), 1e-20) ** -0.1))
         if norm > 2 * n:
@@ -164,6 +164,6 @@ def run(stiffness, damping, friction, v, y, mode, t_end, tol, most):  # type: ig
         times.append(t)
         blocks.append(block)
         modes.append(mode[block])
-        rates(stiffness, damping, friction, v, mode, y, k[0], f[0])
+        rates(numbers, mode, y, k[0], f[0])
         products += 1
     return -1, times[1:], blocks[1:], modes[1:]
