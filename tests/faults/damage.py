@@ -72,28 +72,27 @@ def damaged_manifest(world: World, count: int) -> int:
     return count
 
 
-@fault(quick=0, full=40)
-def damaged_manifest_and_record(world: World, count: int) -> int:
-    """Manifest and record both damaged: what neither confirms is computed again."""
+def _with_record(world: World, count: int, name: str) -> int:
+    """A file and the record both damaged, each way with each."""
     ways = (*_WAYS, _remove)
     for k in range(count):
         out = world.copy()
-        ways[k % len(ways)](world, out / "manifest.json")
+        ways[k % len(ways)](world, out / name)
         ways[k // len(ways) % len(ways)](world, out / "timings.jsonl")
         world.resume(out)
     return count
+
+
+@fault(quick=0, full=40)
+def damaged_manifest_and_record(world: World, count: int) -> int:
+    """Manifest and record both damaged: what neither confirms is computed again."""
+    return _with_record(world, count, "manifest.json")
 
 
 @fault(quick=0, full=40)
 def damaged_scene_and_record(world: World, count: int) -> int:
     """The copy of the scene and the record damaged: written again."""
-    ways = (*_WAYS, _remove)
-    for k in range(count):
-        out = world.copy()
-        ways[k % len(ways)](world, out / "scene.toml")
-        ways[k // len(ways) % len(ways)](world, out / "timings.jsonl")
-        world.resume(out)
-    return count
+    return _with_record(world, count, "scene.toml")
 
 
 #: Questions that together need all of a shard, and a scene's own keys; each ends in one line, whatever became of it.
