@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from stickslip.pipeline.records.record import Made, Member, Sharing, WindowRecor
 from stickslip.sim.systems.system import System
 
 _NO_CYCLE = "on no cycle, or undecided"
+_of_period = partial(Column, "count", least=0.0, absent=_NO_CYCLE, note="null if not periodic")
+_by_block = partial(Column, "numbers", along="section_block", repeats=False)
 if TYPE_CHECKING:  # it loads numba, which who reads a dataset does not need
     from stickslip.sim.attractors.result import Attractor
 
@@ -44,17 +47,8 @@ class AttractorRecord(WindowRecord):
             note="null otherwise",
             dimension="time",
         ),
-        Column(
-            "count", "exits_per_period", "exits in a period", least=0.0, absent=_NO_CYCLE, note="null if not periodic"
-        ),
-        Column(
-            "count",
-            "events_per_period",
-            "entries, exits and crossings in a period, of blocks with friction",
-            least=0.0,
-            absent=_NO_CYCLE,
-            note="null if not periodic",
-        ),
+        _of_period("exits_per_period", "exits in a period"),
+        _of_period("events_per_period", "entries, exits and crossings in a period, of blocks with friction"),
         Column(
             "number",
             "multiplier",
@@ -72,23 +66,13 @@ class AttractorRecord(WindowRecord):
             note="above 0 if irregular, below on a torus",
             dimension="frequency",
         ),
-        Column(
-            "numbers",
+        _by_block(
             "section_z",
             "displacement of each block at one event of the cycle, the same for all starts that end in it; at rest or"
             " steady sliding, there",
-            along="section_block",
-            repeats=False,
             dimension="length",
         ),
-        Column(
-            "numbers",
-            "section_w",
-            "velocity of each block then",
-            along="section_block",
-            repeats=False,
-            dimension="speed",
-        ),
+        _by_block("section_w", "velocity of each block then", dimension="speed"),
         Column(
             "whole",
             "exits_block",

@@ -111,8 +111,8 @@ def test_many_blocks_by_hand(rng, tmp_path):
 @pytest.mark.parametrize("start", [0.0, 2.0])
 def test_what_does_not_slip_has_no_waiting_times(start, tmp_path):
     """From 0 blocks stick throughout, from 2 they swing to 0 at first, which takes half a period, 3.1."""
-    words = {"BLOCKS": 3, "STATIC": 1.3, "SPEED": 0.01, "START": start, "END": 20.0, "BURN": 5.0, "DT": 0.1, "SEED": 0}
-    run_ensemble(scene_of(**words), tmp_path / "out", workers=0)
+    scene = scene_of(BLOCKS=3, STATIC=1.3, SPEED=0.01, START=start, END=20.0, BURN=5.0, DT=0.1, SEED=0)
+    run_ensemble(scene, tmp_path / "out", workers=0)
     row = Dataset(tmp_path / "out").members.iloc[0]
     assert (row["stick_share"], row["never_slipped"], row["waiting_count"]) == (1.0, 1.0, 0)
     assert row[["waiting_mean", "waiting_cv", "first_exit", "first_exit_block"]].isna().all()

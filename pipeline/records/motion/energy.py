@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -11,6 +12,8 @@ from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records.record import Made, Member, Record, Sharing
 from stickslip.sim.energy import Energy, TooLongError, energy
 from stickslip.sim.engines import ENGINES
+
+_of_run = partial(Column, "number", dimension="energy")
 
 
 class EnergyRecord(Record):
@@ -22,27 +25,20 @@ class EnergyRecord(Record):
         " costs some ten runs"
     )
     columns = (
-        Column(
-            "number",
+        _of_run(
             "kinetic_energy_start",
             "sum of m w^2 / 2 at t = 0",
             least=0.0,
             note="null, as all below, if diverged, not the exact law, or too long to sum",
-            dimension="energy",
         ),
-        Column("number", "kinetic_energy_end", "sum of m w^2 / 2 at t_end", least=0.0, dimension="energy"),
-        Column("number", "elastic_energy_start", "z K z / 2 at t = 0", dimension="energy"),
-        Column("number", "elastic_energy_end", "z K z / 2 at t_end", dimension="energy"),
-        Column("number", "belt_work", "what the belt gave, by friction", dimension="energy"),
-        Column("number", "force_work", "what the force from outside gave", dimension="energy"),
-        Column(
-            "number",
-            "coupling_work",
-            "what couplings gave that are not reciprocal, the skew part of K",
-            dimension="energy",
-        ),
-        Column("number", "damping_loss", "what damping took", dimension="energy"),
-        Column("number", "friction_loss", "what slip on the belt took, as heat", dimension="energy"),
+        _of_run("kinetic_energy_end", "sum of m w^2 / 2 at t_end", least=0.0),
+        _of_run("elastic_energy_start", "z K z / 2 at t = 0"),
+        _of_run("elastic_energy_end", "z K z / 2 at t_end"),
+        _of_run("belt_work", "what the belt gave, by friction"),
+        _of_run("force_work", "what the force from outside gave"),
+        _of_run("coupling_work", "what couplings gave that are not reciprocal, the skew part of K"),
+        _of_run("damping_loss", "what damping took"),
+        _of_run("friction_loss", "what slip on the belt took, as heat"),
     )
 
     is_of_exact = True

@@ -12,6 +12,7 @@ from stickslip.pipeline.records.record import Made, Member, Record, Sharing
 from stickslip.sim.episodes import clusters, episodes
 
 _of_each, _of_block = (partial(Column, along=name) for name in ("cluster", "profile"))
+_numbers = partial(_of_each, "numbers", repeats=False)
 
 
 class ClustersRecord(Record):
@@ -21,22 +22,14 @@ class ClustersRecord(Record):
     words = "whether to keep the parts of episodes that springs connect, and the slips; it costs a second run"
     columns = (
         _of_each("counts", "cluster_episode", "number of the episode that it is part of", least=0.0),
-        _of_each("numbers", "cluster_start", "when its first block leaves", repeats=False, dimension="time"),
-        _of_each("numbers", "cluster_end", "when its last block sticks again", repeats=False, dimension="time"),
+        _numbers("cluster_start", "when its first block leaves", dimension="time"),
+        _numbers("cluster_end", "when its last block sticks again", dimension="time"),
         _of_each("wholes", "cluster_first_block", "its nucleation site: the block that left first", is_index=True),
         _of_each("wholes", "cluster_size", "its extent: number of blocks"),
-        _of_each(
-            "numbers",
-            "cluster_moment",
-            "sum of their slips, against the belt's motion",
-            repeats=False,
-            dimension="length",
-        ),
-        _of_each(
-            "numbers",
+        _numbers("cluster_moment", "sum of their slips, against the belt's motion", dimension="length"),
+        _numbers(
             "cluster_stress_drop",
             "mean fall of the springs' force on its blocks by the slips s, (K s)_i",
-            repeats=False,
             dimension="force",
         ),
         _of_block("counts", "profile_cluster", "number of the cluster that a block is part of", least=0.0),

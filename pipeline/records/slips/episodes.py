@@ -12,6 +12,7 @@ from stickslip.pipeline.records.record import Made, Record
 from stickslip.sim.episodes import episodes
 
 _of_each = partial(Column, along="episode")
+_numbers = partial(_of_each, "numbers", repeats=False)
 
 
 @dataclass(frozen=True)
@@ -23,44 +24,27 @@ class EpisodesRecord(Record):
     name = "episodes"
     words = "whether to keep the episodes: from all blocks stuck to all stuck again"
     columns = (
-        _of_each(
-            "numbers",
+        _numbers(
             "episode_start",
             "when the first block leaves, after a time when all stick",
-            repeats=False,
             is_time=True,
             dimension="time",
         ),
-        _of_each(
-            "numbers",
+        _numbers(
             "episode_end",
             "when all stick again; what is cut off by an end is no episode",
-            repeats=False,
             is_time=True,
             dimension="time",
         ),
         _of_each("wholes", "episode_size", "number of blocks that slipped in each episode"),
-        _of_each(
-            "numbers",
-            "episode_moment",
-            "sum of their slips on the belt, against the belt's motion",
-            repeats=False,
-            dimension="length",
-        ),
+        _numbers("episode_moment", "sum of their slips on the belt, against the belt's motion", dimension="length"),
         _of_each("wholes", "episode_first_block", "the block that left first", is_index=True),
-        _of_each(
-            "numbers",
-            "episode_z_sum",
-            "sum of z over the blocks when each episode begins",
-            repeats=False,
-            is_later=True,
-            dimension="length",
+        _numbers(
+            "episode_z_sum", "sum of z over the blocks when each episode begins", is_later=True, dimension="length"
         ),
-        _of_each(
-            "numbers",
+        _numbers(
             "episode_elapsed",
             'how long the motion takes with load = "adiabatic", where start and end are one time of the belt',
-            repeats=False,
             is_later=True,
             dimension="time",
         ),
