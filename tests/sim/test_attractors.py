@@ -243,6 +243,7 @@ def test_cycles_of_other_systems_are_others():
     for change in ({"static": 1.301}, {"belt_speed": -0.2001}, {"friction": 1.001}):
         assert not same_cycle(one, settled(base.changed(**change), 0.3, 0.0, 100.0))
     assert same_cycle(one, settled(base, -1.2, 0.4, 133.0))
+    assert not same_cycle(one, replace(one, states=replace(one.states, w=1.001 * one.states.w)))
 
 
 def test_blocks_that_no_spring_holds_drift_with_the_belts():
@@ -404,6 +405,23 @@ def test_the_multiplier_is_that_of_another_method(rng):
         trivial = int(np.argmin(np.abs(values - 1)))
         assert abs(values[trivial] - 1) < 1e-4
         assert np.abs(np.delete(values, trivial)).max() == pytest.approx(fate.multiplier, rel=1e-3), repr(system)
+
+
+@pytest.mark.parametrize(("frequency", "amplitude"), [(0.7, 0.15), (0.9, 0.2), (1.1, 0.3)])
+def test_the_multiplier_of_a_forced_block_that_sticks_is_that_of_its_map(frequency, amplitude):
+    """From z in the middle of a stick to z a period later; the force loads it too, and it leaves with a jump of w'."""
+    system = System([[1.0]], 0.1, 1.0, -0.2, static=1.4, force=Harmonic(amplitude, frequency, 0.3))
+    turn, exactly = 2.0 * np.pi / frequency, {"tol": 1e-12, "stop_early": False}
+    run = simulate(system, 0.3, 0.0, 100.0 * turn, **exactly)
+    fate = attractor(run, system, 50.0 * turn, **exactly)
+    entry = np.flatnonzero(run.events.mode == 0)[-3]
+    t = run.events.t[entry : entry + 2].mean()
+    z = simulate(system, 0.3, 0.0, t, **exactly).z
+    later = [
+        simulate(system, z + off, -0.2, t + fate.period, t_start=t, modes=np.zeros(1, dtype=np.int8), **exactly).z[0]
+        for off in (-1e-6, 1e-6)
+    ]
+    assert abs(np.diff(later)[0]) / 2e-6 == pytest.approx(fate.multiplier, rel=1e-6)
 
 
 def confirm(system, fate, run=None, start=None):
