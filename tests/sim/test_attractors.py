@@ -409,7 +409,7 @@ def test_the_multiplier_is_that_of_another_method(rng):
 
 @pytest.mark.parametrize(("frequency", "amplitude"), [(0.7, 0.15), (0.9, 0.2), (1.1, 0.3)])
 def test_the_multiplier_of_a_forced_block_that_sticks_is_that_of_its_map(frequency, amplitude):
-    """From z in the middle of a stick to z a period later; the force loads it too, and it leaves with a jump of w'."""
+    """From z in the middle of a stick to z a period later; the force loads it too, and w' jumps where it leaves."""
     system = System([[1.0]], 0.1, 1.0, -0.2, static=1.4, force=Harmonic(amplitude, frequency, 0.3))
     turn, exactly = 2.0 * np.pi / frequency, {"tol": 1e-12, "stop_early": False}
     run = simulate(system, 0.3, 0.0, 100.0 * turn, **exactly)
