@@ -52,8 +52,8 @@ def test_between_the_two_frictions_the_state_says_which_future():
     modes = {}
     for share in (0.0, 0.5, 3.0, -3.0):
         run = simulate(system, -1.1, -1e-3 + share * peak, 0.5, eps=eps, **FINE)
-        modes[share] = (run.events.initial_mode[0], run.events.mode_at(0.5)[0])
-    assert modes == {0.0: (0, 0), 0.5: (0, 0), 3.0: (1, 1), -3.0: (0, 0)}
+        modes[share] = (run.events.initial_mode[0], run.events.mode_at(0.5)[0], len(run.events))
+    assert modes == {0.0: (0, 0, 0), 0.5: (0, 0, 0), 3.0: (1, 1, 0), -3.0: (0, 0, 0)}
 
 
 @pytest.mark.parametrize("ratio", [1.05, 1.3, 2.0])
