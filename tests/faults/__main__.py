@@ -23,6 +23,7 @@ _LIMIT = 4 * 3600.0
 
 def make(name: str, count: int, seed: int) -> int:
     """Make one fault in this process."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup all that is started would ignore it
     with tempfile.TemporaryDirectory(prefix="stickslip-faults-") as directory:
         try:
             print(FAULTS[name].make(World(Path(directory), seed), count))
