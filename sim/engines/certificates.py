@@ -65,11 +65,13 @@ def _sizes(systems: Sequence[System], z: Floats, w: Floats) -> Floats:
     return np.maximum(scales, np.maximum(np.abs(z), np.abs(w)).max(axis=1))
 
 
+@np.errstate(over="ignore")  # beyond float64 there is no bound, and the engine says so of the state
 def escape_bounds(systems: Sequence[System], z: Floats, w: Floats) -> Floats:
     """By run, from starts of shape (m, n): the |z| or |w| at which it is first tested for escape."""
     return _ESCAPE_FACTOR * _sizes(systems, z, w)
 
 
+@np.errstate(over="ignore")  # as above
 def divergence_bound(system: System, z: Floats, w: Floats) -> float:
     """The |w| at which a run from this start has diverged: far above that of a block that swings back from z."""
     (size,) = _sizes([system], z[np.newaxis], w[np.newaxis])

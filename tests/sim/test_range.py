@@ -41,6 +41,11 @@ def test_numbers_that_leave_float64_are_named(length, time, words):
         follow(length, time)
 
 
+def test_a_start_that_leaves_float64_is_told_in_one_line():
+    with pytest.raises(IntegrationError, match="numbers of this size leave float64; scale the system"):
+        simulate(System(STIFFNESS, 0.1), 1e308, 0.0, 20.0)
+
+
 def test_a_spring_too_weak_to_matter_is_none():
     weak, none = (simulate(System([[k]], 0.0, 1.0, -0.2), 3.0, 1.0, 5.0) for k in (1e-100, 0.0))
     assert weak.z == pytest.approx(none.z, rel=1e-14)

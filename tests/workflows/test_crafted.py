@@ -198,7 +198,7 @@ def of_length(table, name, length):
 
 LARGE = {
     "lists": lambda table: of_length(of_length(table, "t", 20_000_000), "n_stick", 20_000_000),
-    "texts": lambda table: column(table, "coupling", ["x" * 50_000_000] * len(table)),
+    "texts": lambda table: column(table, "reason", ["x" * 8_000_000] * len(table)),
 }
 
 
