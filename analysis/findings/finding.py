@@ -541,31 +541,21 @@ class Lack:
     detail: str = ""
 
 
+#: A finding that answers no question of yes or no.
+Statement: TypeAlias = (
+    Level | Change | Share | Lifetime | Law | Parts | Alike | Outcomes | Regime | Attracting | Threshold | Lack
+)
+
+
 @dataclass(frozen=True)
 class Decided:
     """The answer to a question of yes or no, and the finding that it rests on."""
 
     truth: Truth
-    finding: (
-        Level | Change | Share | Lifetime | Law | Parts | Alike | Outcomes | Regime | Attracting | Threshold | Lack
-    )
+    finding: Statement
 
 
-Finding: TypeAlias = (
-    Level
-    | Change
-    | Share
-    | Lifetime
-    | Law
-    | Parts
-    | Alike
-    | Outcomes
-    | Regime
-    | Attracting
-    | Threshold
-    | Lack
-    | Decided
-)
+Finding: TypeAlias = Statement | Decided
 
 
 def levels(finding: Finding) -> list[Level]:

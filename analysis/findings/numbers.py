@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable
 
 from stickslip.analysis import arguments
@@ -20,8 +19,10 @@ _SUPERSCRIPTS = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u20
 
 
 def signs(text: str) -> str:
-    """A text with hyphens before numbers as minus signs."""
-    return re.sub(r"(?<!\w)-(?=[\d.])", MINUS, text)
+    """A text with the hyphens that begin a word, which are signs of numbers, as minus signs."""
+    for before in (" ", "(", "["):
+        text = text.replace(f"{before}-", f"{before}{MINUS}")
+    return MINUS + text[1:] if text.startswith("-") else text
 
 
 def decimals(estimate: Estimate, form: Form = Form.NUMBER) -> int:

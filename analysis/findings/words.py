@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple, TypeAlias
 
 from stickslip.analysis.findings.finding import (
     Alike,
@@ -30,6 +30,7 @@ from stickslip.analysis.findings.finding import (
     Regime,
     Scale,
     Share,
+    Statement,
     Threshold,
     Turn,
     Verdict,
@@ -40,44 +41,60 @@ from stickslip.analysis.stats.estimates import Estimate
 
 MOST_WORDS = 25  # of a first sentence; signs and numbers count
 
+#: What a finding says: each can be a sentence of its own, and the first is the answer.
+Clauses: TypeAlias = tuple[str, ...]
+
+
+class Addition(NamedTuple):
+    """What is added to a clause: a phrase in it, or a clause of its own."""
+
+    phrase: str = ""
+    clause: str = ""
+
+    def to(self, text: str, mark: str = ",") -> Clauses:
+        """A clause with the addition, after a mark if that is a phrase."""
+        return (text, self.clause) if self.clause else (f"{text}{mark} {self.phrase}" if self.phrase else text,)
+
 
 def sentence(finding: Finding) -> str:
     """A finding as a sentence of at most `MOST_WORDS` words, and what does not fit as others."""
-    texts: list[str] = []
-    for texts in _forms(finding):
-        if len(texts[0].split()) <= MOST_WORDS:
-            break
-    return " ".join(f"{capital(signs(text))}." for text in texts)
-
-
-def _forms(finding: Finding) -> Iterator[list[str]]:
-    """A finding as clauses for a sentence each: in one, with its setting apart, and with the levels of a change."""
-    yield _apart(clause(finding))
-    if isinstance(finding, Outcomes):
-        compared = [f"compared: {finding.scope}"] * bool(finding.scope)
-        yield [*_apart(clause(replace(finding, scope=""))), *compared]
-        names = (finding.different, finding.equal, finding.undecided, finding.others)
-        different, equal, undecided, others = (_counted(settings) for settings in names)
-        counted = replace(finding, scope="", different=different, equal=equal, undecided=undecided, others=others)
-        settings = [f"settings: {', '.join(group)}" for group in names if len(group) > 1]
-        yield [*_apart(clause(counted)), *compared, *settings]
-        if finding.largest is not None:
-            all_different = replace(counted, largest=None, different=_counted(finding.different))
-            yield [*_apart(clause(all_different)), *compared, *settings, clause(finding.largest)]
-        return
-    where = place_of(finding)
-    setting = [f"setting: {where}"] * bool(where)
-    bare_finding = _anywhere(finding)
-    yield [*_apart(clause(bare_finding)), *setting]
-    yield [*_apart(_in_brief(bare_finding)), *setting]
-
-
-def _apart(text: str) -> list[str]:
-    """The first clauses of a text, as many as one sentence holds, and the others."""
-    first, *others = re.split(r"; (?![^(]*\))", text)  # none in brackets
-    while others and len(f"{first} {others[0]}".split()) <= MOST_WORDS:
+    truth, said = (f"{finding.truth.value}: ", finding.finding) if isinstance(finding, Decided) else ("", finding)
+    forms = [*_forms(said)]
+    clauses, notes = next((form for form in forms if _fits(truth + form[0][0])), forms[-1])
+    first, *others = truth + clauses[0], *clauses[1:]
+    while others and _fits(f"{first}; {others[0]}"):
         first = f"{first}; {others.pop(0)}"
-    return [first, *others]
+    return " ".join(f"{capital(signs(text))}." for text in (first, *others, *notes))
+
+
+def _fits(text: str) -> bool:
+    return text.count(" ") < MOST_WORDS
+
+
+def _forms(finding: Statement) -> Iterator[tuple[Clauses, Clauses]]:
+    """A finding, ever shorter, as clauses and notes, which are sentences of their own."""
+    yield _clauses(finding), ()
+    if isinstance(finding, Outcomes):
+        yield from _in_numbers(finding)
+        return
+    where, bare_finding = place_of(finding), _anywhere(finding)
+    setting = (f"setting: {where}",) * bool(where)
+    yield _clauses(bare_finding), setting
+    yield _clauses(bare_finding, is_brief=True), setting
+
+
+def _in_numbers(outcomes: Outcomes) -> Iterator[tuple[Clauses, Clauses]]:
+    """Settings by outcome, with how many these are, and which as notes."""
+    compared = (f"compared: {outcomes.scope}",) * bool(outcomes.scope)
+    outcomes = replace(outcomes, scope="")
+    yield _outcomes(outcomes), compared
+    groups = (outcomes.different, outcomes.equal, outcomes.undecided, outcomes.others)
+    different, equal, undecided, others = map(_counted, groups)
+    counted = replace(outcomes, different=different, equal=equal, undecided=undecided, others=others)
+    notes = (*compared, *(f"settings: {', '.join(group)}" for group in groups if len(group) > 1))
+    yield _outcomes(counted), notes
+    if outcomes.largest is not None:
+        yield _outcomes(replace(counted, largest=None)), (*notes, "; ".join(_level(outcomes.largest)))
 
 
 def place_of(finding: Finding) -> Place:
@@ -94,81 +111,50 @@ def place_of(finding: Finding) -> Place:
     return finding.where
 
 
-def _anywhere(finding: Finding) -> Finding:
+def _anywhere(finding: Statement) -> Statement:
     """A finding without where it holds."""
     match finding:
         case Law():
             return replace(finding, parameter=replace(finding.parameter, where=EVERYWHERE))
         case Parts():
             return replace(finding, whole=replace(finding.whole, where=EVERYWHERE))
-        case Decided(truth, reason) if not isinstance(bare_reason := _anywhere(reason), Decided):
-            return Decided(truth, bare_reason)
-        case Outcomes() | Lack() | Decided():
+        case Outcomes() | Lack():
             return finding
     return replace(finding, where=EVERYWHERE)
 
 
-def _in_brief(finding: Finding) -> str:
-    """As `clause`; of a change how large it is, and then from where to where."""
-    match finding:
-        case Decided(truth, reason):
-            return f"{truth.value}: {_in_brief(reason)}"
-        case Level(comparison=Comparison() as comparison) | Share(comparison=Comparison() as comparison):
-            compared = _compared(comparison, finding.quantity if isinstance(finding, Level) else None)
-            if compared.startswith(", "):
-                return f"{clause(replace(finding, comparison=None))}; it is {compared[2:]}"
-        case Law(scope=Level() as scope, things=things) if (share := scope.estimate.value) is not None:
-            return f"{clause(replace(finding, scope=None))}; the law is of {_rounded(share)} of {things}"
-        case Change(keys=(key, *others)) if others:
-            along_with = listed([_goes(other) for other in others])
-            return f"{_in_brief(replace(finding, keys=(key,)))}; with it {along_with}"
-        case Change(quantity, difference=difference, turn=None):
-            along = f"as {_along(finding)}{finding.where.tail}"
-            match difference.verdict:
-                case Verdict.MORE | Verdict.LESS:
-                    verb = "rises" if difference.verdict is Verdict.MORE else "falls"
-                    return f"{quantity.name} {verb} {_by(finding)} {along}; it {verb} {_from_to(finding)}"
-                case Verdict.OPEN | Verdict.OPEN_AMONG_MANY:
-                    brief = f"no change of the {quantity.name} is shown {along}"
-                    return f"{brief}; it {_open(finding)})"
-    return clause(finding)
-
-
-def clause(finding: Finding) -> str:
-    """A finding without capital and full stop."""
+def _clauses(finding: Statement, is_brief: bool = False) -> Clauses:
+    """A finding without capitals and full stops; in brief, the first clause is as short as can be."""
     match finding:
         case Level():
-            return _level(finding)
+            return _level(finding, is_brief)
         case Change():
-            return _change(finding)
+            return _change(finding, is_brief)
         case Share():
-            return _share(finding)
+            return _share(finding, is_brief)
         case Lifetime():
-            return _lifetime(finding)
+            return _lifetime(finding, is_brief)
         case Law():
-            return _law(finding)
+            return _law(finding, is_brief)
         case Parts():
             return _parts(finding)
         case Alike(quantity, value, among, where):
-            digits = decimals(Estimate(value), quantity.form) + (
-                quantity.form is not Form.COUNT
-            )  # it is known to many
+            is_count = quantity.form is Form.COUNT
+            digits = decimals(Estimate(value), quantity.form) + (not is_count)  # it is known to many
             shown = number(value, quantity.form, digits) + _in(quantity)
-            return f"{quantity.name}{where.tail}: {shown}, the same {among}"
+            return (f"{quantity.name}{where.tail}: {shown}, the same {among}",)
         case Outcomes():
             return _outcomes(finding)
         case Threshold(subject, is_end, key, last, first, where, basis):
-            in_all = "" if basis is None or basis.n == 1 else f", in all {plural(basis.n, basis.unit)}"
+            in_all = "" if basis is None or basis.n == 1 else f", in all {based_on(basis)}"
             ends = f"{'ends' if is_end else 'begins'} between {key} = {last} and {first}{_in(finding)}"
-            return f"{subject} {ends}{where.tail}{in_all}"
+            return (f"{subject} {ends}{where.tail}{in_all}",)
         case Regime():
             return _regime(finding)
         case Attracting():
             return _attracting(finding)
         case Lack(what, reason, detail):
-            return f"{what}: {reason.value}{f' ({detail})' * bool(detail)}"
-        case Decided(truth, reason):
-            return f"{truth.value}: {clause(reason)}"
+            return (f"{what}: {reason.value}{f' ({detail})' * bool(detail)}",)
 
 
 def capital(text: str) -> str:
@@ -192,28 +178,38 @@ def based_on(basis: Basis | None) -> str:
     return "" if basis is None else plural(basis.n, basis.unit)
 
 
-def _share(share: Share) -> str:
-    is_whole = share.estimate.value in (0.0, 1.0)
-    n = f" {share.n:,}" if is_whole and share.n is not None and share.n > 1 else ""
-    if is_whole and share.basis is not None and share.basis.n == 1:
-        which, bracket = (
-            "all" if share.estimate.value else "none of the",
-            f"({plural(1, share.basis.unit)}, no interval)",
-        )
-        return f"{which}{n} {share.things} {share.predicate}{share.where.tail} {bracket}{_compared(share.comparison)}"
-    words = f"{with_interval(share.estimate, Form.SHARE)} of{n} {share.things} {share.predicate}{share.where.tail}"
-    if share.comparison is None or share.comparison.difference.verdict is not Verdict.OPEN:
-        return words + _compared(share.comparison)
-    difference, reference = share.comparison.difference, share.comparison.other
-    return f"{words}, consistent with {reference}; the difference is {_signed(difference, Form.SHARE)}"
+def _share(share: Share, is_brief: bool) -> Clauses:
+    estimate, comparison, basis = share.estimate, share.comparison, share.basis
+    is_whole, bracket = estimate.value in (0.0, 1.0), ""
+    if is_whole and basis is not None and basis.n == 1:
+        estimate, bracket = Estimate(estimate.value), f" ({based_on(basis)}, no interval)"
+    head, tail = (share.where.head, "") if share.where.has_key else ("", share.where.tail)
+    words = f"{head}{_amount(estimate, share.n if is_whole else None, share.things)} {share.predicate}{tail}{bracket}"
+    if bracket or comparison is None or comparison.difference.verdict is not Verdict.OPEN:
+        return _beside(words, comparison, None, is_brief)
+    difference = _signed(comparison.difference, Form.SHARE)
+    return f"{words}, consistent with {comparison.other}", f"the difference is {difference}"
 
 
-def _level(level: Level) -> str:
-    words = level.quantity.clause and _in_clause(level)
-    if words:
-        return level.where.head + level.quantity.clause.format(words)
-    name = level.quantity.name + (f", {level.where}" if level.where else "")
-    return f"{name}: {_value(level.quantity, level.estimate)}{_compared(level.comparison, level.quantity)}"
+def _amount(share: Estimate, n: int | None, things: str) -> str:
+    """How many of n things: "80% (38 to 96%) of 5 runs", "all 5 runs (57 to 100%)"; n is not said of one."""
+    count = f"{n:,} {things}" if n is not None and n > 1 else things
+    if share.value not in (0.0, 1.0):
+        return f"{with_interval(share, Form.SHARE)} of {count}"
+    low, high = share.low, share.high
+    bracket = f" ({span(low, high, Form.SHARE)})" if low is not None and high is not None and low < high else ""
+    return ("all " if share.value else f"none of {'the ' * (count == things)}") + count + bracket
+
+
+def _level(level: Level, is_brief: bool = False) -> Clauses:
+    quantity = level.quantity
+    words = _value(quantity, level.estimate)
+    if not quantity.clause:
+        name = quantity.name + (f", {level.where}" if level.where else "")
+        return _beside(f"{name}: {words}", level.comparison, quantity, is_brief)
+    compared = "" if is_brief else _in_clause(level)
+    said = level.where.head + quantity.clause.format(compared or words)
+    return (said,) if compared else _beside(said, level.comparison, quantity, is_brief)
 
 
 def _in(said: Quantity | KeyChange | Threshold) -> str:
@@ -227,9 +223,9 @@ def _value(quantity: Quantity, estimate: Estimate) -> str:
 
 
 def _in_clause(level: Level) -> str:
-    """What stands in the clause of a quantity; empty where a comparison is undecided."""
+    """What stands in the clause of a quantity instead of its value, if a comparison tells."""
     if level.comparison is None:
-        return _value(level.quantity, level.estimate)
+        return ""
     reference, difference = level.comparison.other, level.comparison.difference
     if difference.verdict is Verdict.EQUAL:
         return f"{_within(difference, level.quantity.form)} of that for {reference}"
@@ -241,31 +237,33 @@ def _in_clause(level: Level) -> str:
     return f"{size(difference, level.quantity.form)} {side} than for {reference}"
 
 
-def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -> str:
-    """What a comparison adds to a sentence about an estimate."""
-    if comparison is None:
-        return ""
+def _beside(text: str, comparison: Comparison | None, quantity: Quantity | None, is_brief: bool) -> Clauses:
+    """A clause about an estimate, and what a comparison adds; in brief always as a clause of its own."""
+    addition = Addition() if comparison is None else _compared(comparison, quantity)
+    return (text, f"it is {addition.phrase}") if is_brief and addition.phrase else addition.to(text)
+
+
+def _compared(comparison: Comparison, quantity: Quantity | None) -> Addition:
     reference, difference = comparison.other, comparison.difference
     above, less = ("above", "below") if quantity is None else (quantity.more, quantity.less)
     form = Form.SHARE if quantity is None else quantity.form
     match difference.verdict:
         case Verdict.MORE if (times := ratio(difference)) is not None:
-            return f", {times} times that of {reference}"
-        case Verdict.MORE:
-            return f", {size(difference, form)}{_of(difference, quantity)} {above} {reference}"
-        case Verdict.LESS:
-            return f", {size(difference, form)}{_of(difference, quantity)} {less} {reference}"
+            return Addition(f"{times} times that of {reference}")
+        case Verdict.MORE | Verdict.LESS:
+            side = above if difference.verdict is Verdict.MORE else less
+            return Addition(f"{size(difference, form)}{_of(difference, quantity)} {side} {reference}")
         case Verdict.EQUAL:
-            return f", {_within(difference, form)} of {reference}"
+            return Addition(f"{_within(difference, form)} of {reference}")
         case Verdict.SAME:
-            return f", the same as {reference} in every run"
+            return Addition(f"the same as {reference} in every run")
         case Verdict.OPEN:
-            return f"; no difference from {reference} is shown ({interval(difference, form)})"
+            return Addition(clause=f"no difference from {reference} is shown ({interval(difference, form)})")
         case Verdict.OPEN_AMONG_MANY:
             distance = f"{reference}: {interval(difference, form)}"
-            return f"; difference from {distance}, not significant among {_n_tests(difference)}"
+            return Addition(clause=f"difference from {distance}, not significant among {_n_tests(difference)}")
         case Verdict.UNJUDGED:
-            return f", compared with {reference}, without an interval"
+            return Addition(f"compared with {reference}, without an interval")
 
 
 def _of(difference: Difference, quantity: Quantity | None) -> str:
@@ -350,42 +348,48 @@ def _n_tests(difference: Difference) -> str:
     return f"{difference.family.n} comparisons"
 
 
-def _change(change: Change) -> str:
-    quantity, difference = change.quantity, change.difference
+def _change(change: Change, is_brief: bool = False) -> Clauses:
+    if is_brief and (others := change.keys[1:]):
+        along_with = listed([_goes(other) for other in others])
+        return *_change(replace(change, keys=change.keys[:1]), is_brief), f"with it {along_with}"
+    name, difference = change.quantity.name, change.difference
     along = f"as {_along(change)}{change.where.tail}"
     if change.turn is not None:
         return _turning(change, change.turn, along)
     match difference.verdict:
-        case Verdict.MORE:
-            return f"{quantity.name} rises {_from_to(change)}, {_by(change)}, {along}"
-        case Verdict.LESS:
-            return f"{quantity.name} falls {_from_to(change)}, {_by(change)}, {along}"
+        case Verdict.MORE | Verdict.LESS as verdict:
+            verb = "rises" if verdict is Verdict.MORE else "falls"
+            if is_brief:
+                return f"{name} {verb} {_by(change)} {along}", f"it {verb} {_from_to(change)}"
+            return (f"{name} {verb} {_from_to(change)}, {_by(change)}, {along}",)
         case Verdict.EQUAL:
-            return f"{quantity.name} stays {_within(difference, quantity.form)} {along}"
+            return (f"{name} stays {_within(difference, change.quantity.form)} {along}",)
         case Verdict.SAME:
-            return f"{quantity.name} is the same in every run {along}"
-        case Verdict.OPEN:
-            return f"{quantity.name} {_open(change)}) {along}"
-        case Verdict.OPEN_AMONG_MANY:
-            tests = _n_tests(difference)
-            return f"{quantity.name} {_open(change)}, not significant among {tests}) {along}"
+            return (f"{name} is the same in every run {along}",)
+        case Verdict.OPEN | Verdict.OPEN_AMONG_MANY:
+            words = _open(change)
+            return (
+                (f"no change of the {name} is shown {along}", f"it {words}")
+                if is_brief
+                else (f"{name} {words} {along}",)
+            )
         case Verdict.UNJUDGED:
-            tail = "" if change.basis is None else f"; {plural(change.basis.n, change.basis.unit)}, no interval"
-            return f"{quantity.name} goes {_from_to(change)} {along}{tail}"
+            basis = () if change.basis is None else (f"{based_on(change.basis)}, no interval",)
+            return f"{name} goes {_from_to(change)} {along}", *basis
 
 
-def _turning(change: Change, turn: Turn, along: str) -> str:
+def _turning(change: Change, turn: Turn, along: str) -> Clauses:
     """A change that is not one way all along."""
     name, (start, end) = change.quantity.name, _levels(change)
     unit = _in(change.quantity)
     there = f"{with_interval(turn.estimate, change.quantity.form)}{unit} near {turn.near}"
     match turn.course:
         case Course.MINIMUM:
-            return f"{name} has a minimum of {there}; it falls from {start} and rises to {end}{unit} {along}"
+            return f"{name} has a minimum of {there}", f"it falls from {start} and rises to {end}{unit} {along}"
         case Course.MAXIMUM:
-            return f"{name} has a maximum of {there}; it rises from {start} and falls to {end}{unit} {along}"
+            return f"{name} has a maximum of {there}", f"it rises from {start} and falls to {end}{unit} {along}"
         case Course.NO_TREND:
-            return f"{name} changes without a trend {along}; it goes {_from_to(change)}"
+            return f"{name} changes without a trend {along}", f"it goes {_from_to(change)}"
 
 
 def _along(change: Change) -> str:
@@ -400,7 +404,7 @@ def _goes(key: KeyChange, verb: str = " goes") -> str:
 
 
 def _open(change: Change) -> str:
-    """Levels and the estimate of a change that is not shown, with a bracket that the caller closes."""
+    """Levels and the estimate of a change that is not shown."""
     form, difference = change.quantity.form, change.difference
     start, end = _levels(change)
     levels = (f"is {end} at both ends" if start == end else f"goes from {start} to {end}") + _in(change.quantity)
@@ -408,7 +412,9 @@ def _open(change: Change) -> str:
     assert value is not None
     unit = form_of(difference, form)
     text = bare(value, unit, decimals(difference.estimate, unit), sign=True)
-    return f"{levels} (change {text}, {interval(difference, form)}"
+    is_of_many = difference.verdict is Verdict.OPEN_AMONG_MANY
+    family = f", not significant among {_n_tests(difference)}" if is_of_many else ""
+    return f"{levels} (change {text}, {interval(difference, form)}{family})"
 
 
 def _by(change: Change) -> str:
@@ -434,34 +440,31 @@ def _levels(change: Change) -> tuple[str, str]:
     return number(start, form, places), number(end, form, places)
 
 
-def _lifetime(lifetime: Lifetime) -> str:
+def _lifetime(lifetime: Lifetime, is_brief: bool) -> Clauses:
     if lifetime.estimate.value is None:
         share = f"{number(lifetime.share_left, Form.SHARE)} of"
         where = Place.key("t", f"{lifetime.horizon:g}{_in(lifetime.quantity)}") + lifetime.where
-        return f"{share} {lifetime.things} {lifetime.predicate}{where.tail}"
-    name = lifetime.quantity.name + lifetime.where.tail
-    value = _value(lifetime.quantity, lifetime.estimate)
-    return f"{name}: {value}{_compared(lifetime.comparison, lifetime.quantity)}"
+        return (f"{share} {lifetime.things} {lifetime.predicate}{where.tail}",)
+    name, value = lifetime.quantity.name + lifetime.where.tail, _value(lifetime.quantity, lifetime.estimate)
+    return _beside(f"{name}: {value}", lifetime.comparison, lifetime.quantity, is_brief)
 
 
-def _law(law: Law) -> str:
-    level = law.parameter
-    quantity = level.quantity
-    name, value = law.called or quantity.name, with_interval(level.estimate, quantity.form)
-    parameter = f"{name} {value}{_compared(level.comparison, quantity)}"
+def _law(law: Law, is_brief: bool) -> Clauses:
+    level, predicate = law.parameter, law.predicate
+    subject = level.where.head + law.subject
+    if law.fit is Fit.FAILS:
+        far = "" if law.departure is None else f" ({'; '.join(_level(replace(law.departure, where=EVERYWHERE)))})"
+        return (f"{subject} do not {predicate}{far}",)
+    if law.fit is Fit.OPEN:
+        return f"whether {law.subject}{level.where.tail} {predicate} is open", *_level(level, is_brief)
+    if law.fit is Fit.CLOSE:
+        predicate = law.nearly or f"nearly {predicate}"
     share = None if law.scope is None else law.scope.estimate.value
-    scope = "" if share is None else f" ({_rounded(share)} of {law.things})"
-    match law.fit:
-        case Fit.HOLDS:
-            return f"{level.where.head}{law.subject} {law.predicate}{scope}: {parameter}"
-        case Fit.CLOSE:
-            predicate = law.nearly or f"nearly {law.predicate}"
-            return f"{level.where.head}{law.subject} {predicate}{scope}: {parameter}"
-        case Fit.FAILS:
-            far = "" if law.departure is None else f" ({_level(replace(law.departure, where=EVERYWHERE))})"
-            return f"{level.where.head}{law.subject} do not {law.predicate}{far}"
-        case Fit.OPEN:
-            return f"whether {law.subject}{level.where.tail} {law.predicate} is open; {_level(level)}"
+    scope = "" if share is None else f"{_rounded(share)} of {law.things}"
+    bracket, apart = ("", (f"the law is of {scope}",)) if scope and is_brief else (f" ({scope})" * bool(scope), ())
+    parameter = f"{law.called or level.quantity.name} {with_interval(level.estimate, level.quantity.form)}"
+    said = f"{subject} {predicate}{bracket}: {parameter}"
+    return *_beside(said, level.comparison, level.quantity, is_brief), *apart
 
 
 def _rounded(share: float) -> str:
@@ -469,7 +472,7 @@ def _rounded(share: float) -> str:
     return number(share, Form.SHARE, int(share < 0.995))
 
 
-def _parts(sum_of: Parts) -> str:
+def _parts(sum_of: Parts) -> Clauses:
     """What the last part does, and the others together."""
     total, *smaller, largest = sum_of.whole, *sum_of.parts
     form = total.quantity.form
@@ -483,10 +486,10 @@ def _parts(sum_of: Parts) -> str:
         words = f"{name} {'raises' if value > 0.0 else 'lowers'} the {subject} by {amount}"
     others = [level.quantity.name for level in smaller]
     verb = f"{'together' * (len(others) > 1)} contribute{'s' * (len(others) == 1)}".strip()
-    return f"{words}; {listed(others)} {verb} {with_interval(sum_of.rest, form, sign=True)}"
+    return words, f"{listed(others)} {verb} {with_interval(sum_of.rest, form, sign=True)}"
 
 
-def _outcomes(outcomes: Outcomes) -> str:
+def _outcomes(outcomes: Outcomes) -> Clauses:
     """Settings by outcome; if there is a largest difference that is shown, it is what the sentence says first."""
     reference, largest = outcomes.other, outcomes.largest
     scope = f" in {outcomes.scope}" if outcomes.scope else ""
@@ -507,12 +510,12 @@ def _outcomes(outcomes: Outcomes) -> str:
             beside = "" if outcomes.equal else f" from {reference}{scope}"
             words.append(f"no difference{beside} is shown for {undecided} ({based_on(largest.basis)})")
         if outcomes.equal:
-            return "; ".join(words)
-    is_distance = largest is not None and largest.comparison is None
-    distance = "" if largest is None or (outcomes.different and not is_distance) else _most_apart(largest)
-    if distance and outcomes.undecided and outcomes.at_largest not in ("", *outcomes.undecided):
-        distance += f", for {outcomes.at_largest}"
-    return "; ".join(words) + distance
+            return (*words,)
+    if largest is None or (outcomes.different and largest.comparison is not None):
+        return (*words,)
+    is_elsewhere = outcomes.undecided and outcomes.at_largest not in ("", *outcomes.undecided)
+    addition = _most_apart(largest, f", for {outcomes.at_largest}" if is_elsewhere else "")
+    return *words[:-1], *addition.to(words[-1], ":")
 
 
 def _s(settings: Sequence[str]) -> str:
@@ -539,28 +542,27 @@ def _larger(level: Level, other: str) -> str:
     return f"a {name} {amount} {'higher' if is_more else 'lower'} than {other}"
 
 
-def _most_apart(level: Level) -> str:
+def _most_apart(level: Level, where: str) -> Addition:
     """The largest difference of several, of which none is shown; as two values where it has no ratio."""
+    form, name, end = level.quantity.form, level.quantity.name, level.estimate.value
     if level.comparison is None:  # a distance
-        return f": {level.quantity.name} {with_interval(level.estimate, level.quantity.form)}"
-    if level.comparison.difference.verdict is Verdict.SAME:
-        return ""
-    difference, form, name = level.comparison.difference, level.quantity.form, level.quantity.name
-    value, end = difference.estimate.value, level.estimate.value
-    if value is None or end is None:
-        return ""
+        return Addition(f"{name} {with_interval(level.estimate, form)}{where}")
+    difference = level.comparison.difference
+    value = difference.estimate.value
+    if difference.verdict is Verdict.SAME or value is None or end is None:
+        return Addition()
+    largest = f"largest difference {_signed(difference, form)}, in the {name}"
     if difference.verdict is Verdict.EQUAL:
-        within = f"within the declared {margin(difference, form)}"
-        return f"; largest difference {_signed(difference, form)}, in the {name}, {within}"
+        return Addition(clause=f"{largest}, within the declared {margin(difference, form)}{where}")
     is_one_of_many = difference.verdict is Verdict.OPEN_AMONG_MANY
     n = f", not significant among {_n_tests(difference)}" if is_one_of_many else ""
     if difference.scale is Scale.RELATIVE:
-        return f"; largest difference {_signed(difference, form)}, in the {name}{n}"
+        return Addition(clause=f"{largest}{n}{where}")
     places = 0 if form is Form.SHARE else decimals(Estimate(max(abs(end), abs(end - value))), form)
     ends = f"{name} {number(end, form, places)} against {number(end - value, form, places)}"
     if difference.verdict is Verdict.UNJUDGED:
-        return f": {ends}, without an interval"
-    return f": {ends} (difference {interval(difference, form)}){n}"
+        return Addition(f"{ends}, without an interval{where}")
+    return Addition(f"{ends} (difference {interval(difference, form)}){n}{where}")
 
 
 def _signed(difference: Difference, form: Form) -> str:
@@ -569,30 +571,28 @@ def _signed(difference: Difference, form: Form) -> str:
     return with_interval(difference.estimate, unit, sign=True) + _AFTER[unit]
 
 
-def _regime(regime: Regime) -> str:
+def _regime(regime: Regime) -> Clauses:
     head, things, share, (verb, *others) = regime.where.head, regime.things, regime.share, regime.predicates
     if regime.of == 1:
-        return f"{head}{things} {verb}"
-    amount = with_interval(share, Form.SHARE) if share.low is not None else f"{regime.n:,}"
-    rest = f"; the others {listed(others, 'or')}" if others else ""
-    return f"{head}{amount} of {regime.of:,} {things} {verb}{rest}"
+        return (f"{head}{things} {verb}",)
+    is_share = share.low is not None or regime.n == regime.of
+    amount = _amount(share, regime.of, things) if is_share else f"{regime.n:,} of {regime.of:,} {things}"
+    return f"{head}{amount} {verb}", *((f"the others {listed(others, 'or')}",) if others else ())
 
 
-def _attracting(attracting: Attracting) -> str:
+def _attracting(attracting: Attracting) -> Clauses:
     names = attracting.attractors
     verb = {1: "attracts", 2: "both attract"}.get(len(names), "all attract")
     place = Place.key(attracting.key, attracting.stretch) + attracting.where
+    said = f"{listed(names)} {verb}{place.tail}"
     ends = ((attracting.low_by, "lower"), (attracting.high_by, "upper"))
     refined = [(bound_in_words(by, attracting.horizon), side) for by, side in ends if by is not Bound.SETTING]
     if len({by for by, _ in refined}) == 1 and len(refined) == 2:
-        bounds = f"; both ends are known from {refined[0][0]}"
-    else:
-        texts = [
-            f"the {side} {verb} {by}"
-            for (by, side), verb in zip(refined, ("end is known from", "from"), strict=False)
-        ]
-        bounds = f"; {', '.join(texts)}" if texts else ""
-    return f"{listed(names)} {verb}{place.tail}{bounds}"
+        return said, f"both ends are known from {refined[0][0]}"
+    texts = [
+        f"the {side} {verb} {by}" for (by, side), verb in zip(refined, ("end is known from", "from"), strict=False)
+    ]
+    return said, *((", ".join(texts),) if texts else ())
 
 
 def bound_in_words(by: Bound, horizon: str) -> str:

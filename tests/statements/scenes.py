@@ -200,7 +200,7 @@ PLANS: dict[str, Plan] = {name: Plan((shrunk(name, **changes),)) for name, chang
     "files": Plan(
         (
             scene(
-                'coupling = "file"\npath = "K*.npz"\nrho = 3.5\nbelt_speed = [-0.1, -0.2]\nstatic = {ratio = 1.3}',
+                'coupling = "file"\npath = "K*.npz"\nbelt_speed = [-0.1, -0.2]\nstatic = {ratio = 1.3}',
                 start="z = {uniform = [-1, 1]}\nw = 0.0\ndraws = 3",
                 run="matrices = 1",
             ),
