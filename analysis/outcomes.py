@@ -109,7 +109,7 @@ def forest(steps: Sequence[Step], what: str, name: str = "contrasts") -> dict[st
     ends, widest = _axis(top)
     bands = " Bands: declared margins." * any(step.contrast.has_margin for step in top)
     cut = " Arrowheads: beyond the axis." * bool((np.abs(ends) > widest).any())
-    caption = f"{what}. Filled marks: significant.{bands}{cut}"
+    caption = f"Filled marks are significant {what}, with intervals.{bands}{cut}"
     return {name: Picture(partial(differences, top), caption)}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -66,3 +67,9 @@ class Alert:
 
     def __str__(self) -> str:
         return self.code.words.format(**dict(self.numbers))
+
+
+def drift(what: str, settings: Sequence[str], t_burn: float) -> Alert:
+    """The alert that something drifts at some settings: which one, or how many."""
+    where = f" ({settings[0]})" if len(settings) == 1 else f" at {len(settings)} settings"
+    return Alert.of(Code.DRIFT, what=what, where=where, t_burn=t_burn)

@@ -435,6 +435,8 @@ class Regime:
 
     Attributes
     ----------
+    key : str
+        The first outcome.
     things : str
         In the plural: "starts".
     predicates : tuple of str
@@ -447,6 +449,7 @@ class Regime:
         Which settings: "belt_speed = 5 to 7".
     """
 
+    key: str
     things: str
     predicates: tuple[str, ...]
     n: int
@@ -584,8 +587,8 @@ def levels(finding: Finding) -> list[Level]:
         case Threshold(subject, is_end, key, where=where, basis=basis):
             quantity = Quantity("threshold", f"where {subject} {'ends' if is_end else 'begins'}")
             return [Level(quantity, Estimate(), Place.key(key, finding.stretch) + where, basis=basis)]
-        case Regime(things, predicates, _, _, share, where, basis):
-            return [Level(_share("regime", things, predicates[0]), share, where, basis=basis)]
+        case Regime(key, things, predicates, _, _, share, where, basis):
+            return [Level(_share(key, things, predicates[0]), share, where, basis=basis)]
         case Attracting(attractors, key, where=where, basis=basis):
             quantity = Quantity("attracting", f"where {' and '.join(attractors)} attract")
             return [Level(quantity, Estimate(), Place.key(key, finding.stretch) + where, basis=basis), *finding.ends]

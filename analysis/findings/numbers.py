@@ -121,9 +121,9 @@ def with_interval(estimate: Estimate, form: Form = Form.NUMBER, digits: int | No
     if low is not None and high is not None:
         return value if is_exact(estimate) else f"{value} ({span(low, high, form, sign, digits)})"
     if low is not None:
-        return f"{value} (at least {number(low, form)})"
+        return f"{value} (at least {number(low, form, digits)})"
     if high is not None:
-        return f"{value} (at most {number(high, form)})"
+        return f"{value} (at most {number(high, form, digits)})"
     return value
 
 

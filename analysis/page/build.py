@@ -13,6 +13,7 @@ import pandas as pd
 
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.alerts import Alert, Code
+from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.words import plural
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS, noun
@@ -232,7 +233,7 @@ def _provenance(
     table = groups.dropna(axis="columns", how="all")
     alike = [name for name in table if name not in ("group", *COUNTS) and len({*table[name]}) == 1]
     if alike:
-        shared = ", ".join(f"{name} = {text(table[name].iloc[0])}" for name in alike)
+        shared = signs(", ".join(f"{name} = {text(table[name].iloc[0])}" for name in alike))
         notes.insert(0, f"{'All settings share' if len(groups) > 1 else 'The setting has'} {shared}.")
         table = table.drop(columns=alike)
     return Section(
@@ -265,7 +266,7 @@ def _alerts(study: Study, leading: Sequence[Part], others: Sequence[Part]) -> li
     alerts += [alert for page in others for alert in page.answer.alerts if alert.code.rank <= OF_DATA]
     by_subject: dict[object, str] = {}
     for alert in sorted(alerts, key=lambda alert: alert.code.rank):
-        by_subject.setdefault(alert.subject, str(alert))
+        by_subject.setdefault(alert.subject, signs(str(alert)))
     return [*by_subject.values()][:MOST_ALERTS]
 
 

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from stickslip.analysis.answer import Answer, Question, Recipe
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Basis, Level, in_units, levels
+from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.page import FINDINGS
 from stickslip.analysis.page.data import data_table
@@ -33,7 +34,8 @@ class Drawn:
     @property
     def panel(self) -> Panel:
         """With the SVG as a data URL, for an image inside the page: of two inline SVGs, ids would clash."""
-        return Panel(f"data:image/svg+xml;base64,{base64.b64encode(self.svg.encode()).decode('ascii')}", self.caption)
+        image = base64.b64encode(self.svg.encode()).decode("ascii")
+        return Panel(f"data:image/svg+xml;base64,{image}", signs(self.caption))
 
 
 @dataclass(frozen=True)

@@ -426,7 +426,8 @@ def test_sizes_are_grouped_by_what_all_their_runs_do(planted):
     assert lows == [pytest.approx(0.566, abs=1e-3)] * 2 + [pytest.approx(0.376, abs=1e-3)]
     assert list(answered.figures)[:2] == ["fates", "survival"]
     found = shares(answered)
-    assert found["escaping", "n = 250"].estimate.value == pytest.approx(0.8)
+    assert found[SUSTAINED, "n = 250"].estimate.value == pytest.approx(0.2)
+    assert ("escaping", "n = 250") not in found  # the regime has said it
     assert (found["stable_sliding", ""].estimate.value, found["unstable_escaping", ""].basis.n) == (1.0, 10)
     for picture in answered.figures.values():
         assert picture.recipe().axes

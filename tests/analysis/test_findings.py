@@ -178,7 +178,7 @@ def test_sentences():
     assert sentence(Law("moments", "follow a power law", b, scope=span, things="episodes")) == (
         "Moments follow a power law (5.5% of episodes): b-value 0.879 (0.835 to 0.924)."
     )
-    alike = Regime("starts", ("slide",), 5, 5, Estimate(1.0, 0.57, 1.0), Place.key("v", "1"))
+    alike = Regime("slide", "starts", ("slide",), 5, 5, Estimate(1.0, 0.57, 1.0), Place.key("v", "1"))
     assert sentence(alike) == "At v = 1, all 5 starts (57 to 100%) slide."
     some = replace(alike, predicates=("slide", "stick", "stop"), n=4, share=Estimate(0.8, 0.38, 0.96))
     assert sentence(some) == "At v = 1, 80% (38 to 96%) of 5 starts slide; the others stick or stop."
@@ -228,13 +228,13 @@ def _findings(rng):
     yield Outcomes("exact", undecided=("h = 0.1",), largest=level, scope="the number of slip onsets")
     yield Outcomes("exact", ("h = 0.1",), largest=level)
     yield Threshold("stick-slip", bool(rng.integers(2)), "belt_speed", "0.3", "0.4", where, basis)
-    yield Regime("starts", ("slide", "stick", "stop"), 9, 10, where=where)
+    yield Regime("slide", "starts", ("slide", "stick", "stop"), 9, 10, where=where)
     nouns = ("steady sliding", "stick-slip", "rest")[: rng.integers(1, 4)]
     yield Attracting(
         nouns, "belt_speed", "1", _pick(rng, ["1", "2"]), _pick(rng, Bound), _pick(rng, Bound), where, basis
     )
     for n in (1, 2, 4, 5):
-        yield Regime("starts", ("slide",), n, 5, estimate, where, basis)
+        yield Regime("slide", "starts", ("slide",), n, 5, estimate, where, basis)
     yield Lack("the decay rate", _pick(rng, Reason), "12 cascades")
     yield Decided(_pick(rng, Truth), share)
 
@@ -289,7 +289,7 @@ def _of_the_package(rng):
     for way in (None, turn):
         yield Change(quantity, keys, Estimate(0.3), Estimate(0.41), difference, where, Basis(20), way)
     yield Share("share", "starts", predicates[0], estimate, where, level.comparison, Basis(20), 5000)
-    yield Regime("starts", predicates, 17, 20, estimate, where, Basis(20))
+    yield Regime("slide", "starts", predicates, 17, 20, estimate, where, Basis(20))
     b, scope = Level(Quantity("b", "b-value"), estimate, where), Level(SHARE, estimate)
     for fit in Fit:
         predicate = "follow a power law, below a peak, from M = -3.1 to 0.5"

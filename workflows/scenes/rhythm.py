@@ -45,7 +45,7 @@ NUMBERS = {
     Number.QUALITY: Quantity("quality", "Q of slow common motion"),
     Number.SHARE: Quantity(
         "share",
-        "share of the variance of the number of sticking blocks that is due to slow common motion",
+        "share of the variance of the number of sticking blocks that comes from slow common motion",
         Form.SHARE,
     ),
 }

@@ -91,7 +91,7 @@ def answer(study: Study) -> Answer | None:
             steps_beside.sort(key=lambda step: not step.contrast.is_shown)
             levels += [step.level(reference, unit) for step in steps_beside]
             if not in_figure:
-                in_figure, title = steps_beside, f"Differences from {reference}"
+                in_figure, title = steps_beside, f"differences from {reference}"
     figures = forest(in_figure, title)
     lack = few("how far the engines differ", max(step.contrast.n_first for step in steps))
     criteria = {str(pair.group.key["stick"]) for pair in pairs if pair.threshold is not None}

@@ -19,7 +19,7 @@ from stickslip.analysis import burn_in
 from stickslip.analysis.answer import Answer, Picture, Question
 from stickslip.analysis.catalogues import fineness
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.alerts import Alert, Code
+from stickslip.analysis.findings.alerts import Alert, Code, drift
 from stickslip.analysis.findings.finding import (
     Alike,
     Basis,
@@ -31,6 +31,7 @@ from stickslip.analysis.findings.finding import (
     Lifetime,
     Quantity,
     Reason,
+    Regime,
     Scale,
     Share,
 )
@@ -57,7 +58,6 @@ from stickslip.analysis.questions.runs.settled import (
     Grid,
     Outcome,
     Portion,
-    Runs,
     Setting,
     grid_of,
     portions,
@@ -224,64 +224,63 @@ def _findings(study: Study, grid: Grid, ends: Sequence[Ends]) -> tuple[list[Find
 
 def _outcomes(
     study: Study, grid: Grid, settings: Sequence[Setting], method: Place
-) -> tuple[list[tuple[Finding, Sequence[Setting]]], list[Finding]]:
+) -> tuple[Sequence[tuple[Finding, Sequence[Setting]]], Sequence[Finding]]:
     """What the runs of a method do, with the settings: shares where all do the same, else settings by outcome."""
     alike = {setting.kinds for setting in settings}
     if len(settings) == 1 or not grid.axes or (len(alike) == 1 and len(settings[0].kinds) < 2):
-        shares = sorted(_shares(study, settings, method), key=lambda finding: not isinstance(finding, Share))
+        shares = _shares(study, settings, method, MOST_LEADING)
+        shares.sort(key=lambda finding: not isinstance(finding, Share))
         n_shares = sum(isinstance(finding, Share) for finding in shares)
         n_lead = min(n_shares, MOST_LEADING) if n_shares > 2 else 1  # of two, one says both
-        if n_shares > MOST_LEADING:
-            shares.insert(n_lead - 1, _rest(study, settings, method, n_lead - 1))
         return [(share, settings) for share in shares[:n_lead]], shares[n_lead:]
     top, *lines = grid.lines(settings)[:MOST_LINES]
-    statements: list[tuple[Finding, Sequence[Setting]]] = []
+    statements: list[tuple[Regime, Sequence[Setting]]] = []
     for line in [top, *lines[-1:], *lines[:-1]]:
         statements += regimes(study, grid, line, [setting.kinds for setting in line], method)
     kinds, exits = [setting.kinds for setting in top], [setting.exits for setting in top]
     if not lines and stretches(kinds) != stretches(exits):
         findings = [finding for finding, _ in statements]
         statements += [pair for pair in regimes(study, grid, top, exits, method) if pair[0] not in findings]
-    mixed = [setting for setting in settings if len(setting.kinds) > 1]
-    return statements, [share for setting in mixed[:MOST_LINES] for share in _shares(study, [setting], setting.where)]
+    mixed = [setting for setting in settings if len(setting.kinds) > 1][:MOST_LINES]
+    said = {(places[0], finding.key) for finding, places in statements if len(places) == 1}
+    details = [
+        finding
+        for setting in mixed
+        for finding in _shares(study, [setting], setting.where)
+        if isinstance(finding, Alike) or (setting, finding.key) not in said
+    ]
+    return statements, details
 
 
-def _portions(study: Study, settings: Sequence[Setting]) -> tuple[Runs, list[Portion]]:
-    """Runs and their outcomes at some settings, those with a published share and of most runs first."""
+def _shares(study: Study, settings: Sequence[Setting], where: Place, most: int | None = None) -> list[Share | Alike]:
+    """The share of each outcome at some settings, those with a published share and of most runs first.
+
+    Of more than so many outcomes, what the first ones leave is said together before the last of these.
+    """
     published, runs = study.settings.published, together(settings)
     rows = portions(study, runs, besides=published)
-    return runs, sorted(rows, key=lambda row: (row.outcome not in published, row.outcome == UNDECIDED, -row.n_runs))
-
-
-def _rest(study: Study, settings: Sequence[Setting], where: Place, n_said: int) -> Share:
-    """The share of runs that have none of the first outcomes."""
-    runs, rows = _portions(study, settings)
-    in_first = [(runs.said == row.outcome) & (runs.cycles == (row.cycle or 0)) for row in rows[:n_said]]
-    is_other = ~np.any(in_first, axis=0)
-    share = share_of(is_other, np.zeros(len(is_other)), runs.units, study.settings.confidence)
-    kinds = dict.fromkeys(Outcome(row.outcome) for row in rows[n_said:])
-    basis = Basis(len(np.unique(runs.units)), unit(study, settings))
-    predicate = listed(predicates(study, [*kinds], settings), "or")
-    return Share("others", things(basis), predicate, share, where, None, basis, len(is_other))
-
-
-def _shares(study: Study, settings: Sequence[Setting], where: Place) -> list[Finding]:
-    """The share of each outcome at some settings, in the order of `_portions`."""
-    published = study.settings.published
-    runs, rows = _portions(study, settings)
+    rows.sort(key=lambda row: (row.outcome not in published, row.outcome == UNDECIDED, -row.n_runs))
     n_cycles = sum(row.outcome == PERIODIC for row in rows)
     basis = Basis(len(np.unique(runs.units)), unit(study, settings))
-    findings: list[Finding] = []
-    for row in rows:
+    name = things(basis)
+    findings: list[Share | Alike] = []
+    is_other = np.full(len(runs.rows), True)
+    for k, row in enumerate(rows, 1):
+        if k == most and len(rows) > most:
+            share = share_of(is_other, np.zeros(len(is_other)), runs.units, study.settings.confidence)
+            kinds = dict.fromkeys(Outcome(other.outcome) for other in rows[k - 1 :])
+            predicate = listed(predicates(study, [*kinds], settings), "or")
+            findings.append(Share("others", name, predicate, share, where, None, basis, len(is_other)))
         (predicate,) = predicates(study, [Outcome(row.outcome)], settings)
         comparison = _beside(row, published.get(row.outcome))
         if row.outcome == PERIODIC and n_cycles > 1:
-            name = "other cycles" if row.cycle is None else f"the cycle of period {row.period:.4g}"
-            predicate, comparison = f"settle onto {name}", None
-        findings.append(Share(row.outcome, things(basis), predicate, row.share, where, comparison, basis, row.of))
+            cycle = "other cycles" if row.cycle is None else f"the cycle of period {row.period:.4g}"
+            predicate, comparison = f"settle onto {cycle}", None
+        findings.append(Share(row.outcome, name, predicate, row.share, where, comparison, basis, row.of))
         if row.cycle and n_cycles == 1 and row.period is not None and row.n_runs > 1:
-            among = Basis(row.n_runs, things(basis)[:-1])
+            among = Basis(row.n_runs, name[:-1])
             findings.append(Alike(PERIOD, row.period, f"from all {based_on(among)}", where, among))
+        is_other &= ~runs.in_outcome(row.outcome, row.cycle)
     return findings
 
 
@@ -391,9 +390,8 @@ def _alerts(study: Study, grid: Grid, ends: Sequence[Ends], short: Sequence[Grou
     if n_failed:
         alerts.append(Alert.of(Code.FAILED, n=n_failed, of=len(study.data.table.unchanged)))
     if short:
-        where = f" at {short[0].label}" if len(short) == 1 else f" at {len(short)} settings"
-        what, t_burn = "The number of sticking blocks", study.settings.t_burn
-        alerts.append(Alert.of(Code.DRIFT, what=what, where=where, t_burn=t_burn))
+        settings = [group.label for group in short]
+        alerts.append(drift("The number of sticking blocks", settings, study.settings.t_burn))
     if n_open > MOST_OPEN * n_recorded:
         alerts.append(Alert.of(Code.UNDECIDED, n=n_open, of=n_recorded))
     if n_quiet:

@@ -102,6 +102,10 @@ class Runs(NamedTuple):
     def n_of(self, kind: str) -> int:
         return int(np.sum(self.kinds == kind))
 
+    def in_outcome(self, kind: str, cycle: int | None) -> np.ndarray:
+        """Which runs have an outcome, as said."""
+        return np.asarray((self.said == kind) & (self.cycles == (cycle or 0)))
+
 
 @dataclass(frozen=True, eq=False)
 class Setting:
@@ -340,7 +344,7 @@ def portions(study: Study, runs: Runs, name: str = "", besides: Iterable[str] = 
     order = sorted(outcomes, key=lambda pair: (OUTCOMES.index(pair[0]), pair[1] or MOST_CYCLES + 1))
     rows = []
     for kind, cycle in order:
-        has = (runs.said == kind) & (runs.cycles == cycle)
+        has = runs.in_outcome(kind, cycle)
         untold = (runs.kinds == QUIET) & (kind == SUSTAINED)
         share = share_of(has, untold, runs.units, study.settings.confidence)
         row = Portion(name, kind, cycle or None, int(has.sum()), len(has), share)
@@ -432,4 +436,4 @@ def _regime(study: Study, where: Place, settings: Sequence[Setting], outcomes: S
             share = Estimate(1.0, wilson(n_units, n_units, level)[0], 1.0)
     words = predicates(study, [*in_order, *[Outcome(UNDECIDED)] * bool(untold.any())], settings)
     basis = Basis(n_units, unit(study, settings))
-    return Regime(things(basis), words, int(has.sum()), len(has), share, where, basis)
+    return Regime(in_order[0].kind, things(basis), words, int(has.sum()), len(has), share, where, basis)

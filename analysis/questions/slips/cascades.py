@@ -16,7 +16,7 @@ import numpy as np
 
 from stickslip.analysis.answer import Answer, Picture, Question, Recipe, lack, places, systems
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.alerts import Alert, Code
+from stickslip.analysis.findings.alerts import Alert, Code, drift
 from stickslip.analysis.findings.finding import (
     Basis,
     Comparison,
@@ -254,8 +254,7 @@ def _drift(study: Study) -> Alert:
     """That n_stick drifts in some groups."""
     level = study.settings.confidence
     drifting = [group.label for group in study.groups if group.basis(level).code == enough.DRIFTS]
-    where = f" at {drifting[0]}" if len(drifting) == 1 else f" at {len(drifting)} settings"
-    return Alert.of(Code.DRIFT, what="The number of sticking blocks", where=where, t_burn=study.settings.t_burn)
+    return drift("The number of sticking blocks", drifting, study.settings.t_burn)
 
 
 def _engine(sums: Sums) -> list[object]:

@@ -38,7 +38,8 @@ _METHOD = (
     f" periods over {CYCLES:g} of a block's own cycles, is shown if its power is more concentrated than in 95% of"
     f" {SURROGATES} such surrogates, and is fitted as a damped oscillator beside a share of the blocks' own power."
     " Up to Q = 1/2 it is overdamped; with Q near 1 the spectrum has a broad peak, and the motion loses phase within"
-    " a period. Slip onsets soon after one are compared with theirs, adjusted for the number of comparisons."
+    " a period. Slip onsets soon after another are compared with those of time-shifted blocks, adjusted for the"
+    " number of comparisons."
 )
 
 

@@ -25,7 +25,7 @@ from stickslip.analysis.catalogues import (
 )
 from stickslip.analysis.contrast import Contrast, Statistic, contrast
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.alerts import Alert, Code
+from stickslip.analysis.findings.alerts import Alert, Code, drift
 from stickslip.analysis.findings.finding import (
     Basis,
     Change,
@@ -264,14 +264,14 @@ def answer(study: Study) -> Answer | None:
         for outcome in _outcomes(reference, settings, pairs, basis)
     ]
     (law, *beside), changes = pictures[0], _changes(leaders, level, basis)
-    findings: list[Finding] = [
-        *outcomes,
-        *changes,
-        law,
-        *(() if changes else beside),
-        _level(lead, RATE, pairs, basis),
-    ]
-    findings += [*(beside if changes else ()), *itertools.chain(*pictures[1:])]
+    rate, shown_first = _level(lead, RATE, pairs, basis), sorted(pairs, key=lambda pair: not pair.is_shown)
+    distances = [row for pair in shown_first if (row := _beside(pair, basis)) is not None]
+    others = [*itertools.chain(*pictures[1:])]
+    findings: list[Finding] = [law, *beside, rate, *others, *distances]
+    if outcomes:
+        findings = [*outcomes, rate, *distances, *changes, law, *beside, *others]
+    elif changes:
+        findings = [*changes, law, rate, *beside, *others, *distances]
     of_lead = (STORED,) if study.data.is_loaded else (STORED, OCCUPANCY)
     findings += _levels(counted, lead, pairs, basis, of_lead)
     findings += [
@@ -311,21 +311,18 @@ def _level(group: Catalogues, name: str, apart: Sequence[Apart], unit: str) -> L
 
 def _levels(
     groups: Sequence[Catalogues], lead: Catalogues, apart: Sequence[Apart], unit: str, of_lead: Sequence[str]
-) -> list[Finding]:
-    """Statistics of all groups, the distances of their magnitudes, and what shows whether the drive is slow."""
-    primary = sorted((pair for pair in apart if pair.name in PRIMARY), key=lambda pair: not pair.is_shown)
-    findings: list[Finding] = [level for pair in primary if (level := _beside(pair, unit)) is not None]
+) -> list[Level]:
+    """Statistics of all groups, and what shows whether the drive is slow."""
     several = [(name, group) for name in _COMPARED for group in groups if name != RATE]
     lead_only = [(name, lead) for name in of_lead]
     compared = [id(pair.setting) for pair in apart]
     rates = [(RATE, group) for group in groups if group is not lead and id(group) not in compared]
-    findings += [
+    return [
         _level(group, name, apart, unit)
         for name, group in (*rates, *several, *lead_only)
         # without the strain, which may fall, slip in episodes is no share of the travel
         if group.estimates[name].value is not None and (name != SLIP or group.estimates[STORED].value is not None)
     ]
-    return findings
 
 
 def _beside(one: Apart, unit: str) -> Level | None:
@@ -483,10 +480,9 @@ def _mean_moment(study: Study, group: Catalogues) -> Estimate:
 def _alerts(study: Study, groups: Sequence[Catalogues], references: Sequence[Catalogues]) -> list[Alert]:
     """What numbers of episodes are wrong, and what they refer to: those of the worst group each."""
     alerts = []
-    drifting = [group for group in groups if group.basis.code == enough.DRIFTS]
+    drifting = [str(group.method) for group in groups if group.basis.code == enough.DRIFTS]
     if drifting:
-        where, t_burn = f" ({', '.join(str(group.method) for group in drifting[:2])})", study.settings.t_burn
-        alerts.append(Alert.of(Code.DRIFT, what="The rate of episodes", where=where, t_burn=t_burn))
+        alerts.append(drift("The rate of episodes", drifting, study.settings.t_burn))
     fast = max(references or groups, key=_occupancy)
     if _occupancy(fast) > SLOW:
         share = number(_occupancy(fast), Form.SHARE, 0)
