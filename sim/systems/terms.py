@@ -8,6 +8,7 @@ and pages. Everything is dimensionless.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any, Literal
 
 from stickslip.sim.systems.weakening import LAWS
@@ -95,6 +96,8 @@ class Term:
         return {"default": self.default, "description": self.words, **examples}
 
 
+_in_rayleigh, _in_force, _in_drive = (partial(Term, part=name, table=name) for name in ("rayleigh", "force", "drive"))
+
 TERMS = (
     Term(
         name="kappa",
@@ -143,23 +146,19 @@ TERMS = (
         in_file=True,
         dimension="damping",
     ),
-    Term(
+    _in_rayleigh(
         name="rayleigh_mass",
         words="a of the damping matrix C = a M + b K, in the place of `rho`",
         column="a of the damping matrix C = a M + b K",
         default=0.0,
         least=0,
-        part="rayleigh",
-        table="rayleigh",
         dimension="frequency",
     ),
-    Term(
+    _in_rayleigh(
         name="rayleigh_stiffness",
         words="b of the damping matrix C = a M + b K",
         default=0.0,
         least=0,
-        part="rayleigh",
-        table="rayleigh",
         dimension="time",
     ),
     Term(
@@ -213,19 +212,17 @@ TERMS = (
         in_file=True,
         dimension="speed",
     ),
-    Term(
+    _in_force(
         name="force_amplitude",
         words="amplitude of the force on every block",
         column="amplitude of the force on every block; null if drawn",
         example=0.5,
         draws=UNBOUNDED,
         purpose=12,
-        part="force",
-        table="force",
         heading="force",
         dimension="force",
     ),
-    Term(
+    _in_force(
         name="force_frequency",
         words="frequency of the force, in radians a unit of time; 0: constant",
         column="frequency of the force, in radians a unit of time; null if drawn",
@@ -233,71 +230,57 @@ TERMS = (
         least=0,
         draws=BOUNDED,
         purpose=13,
-        part="force",
-        table="force",
         heading="frequency",
         dimension="angular_frequency",
     ),
-    Term(
+    _in_force(
         name="force_phase",
         words="phase of the force at t = 0",
         column="phase of the force at t = 0; null if drawn",
         default=0.0,
         draws=UNBOUNDED,
         purpose=14,
-        part="force",
-        table="force",
         heading="phase",
     ),
-    Term(
+    _in_drive(
         name="drive_spring",
         words="stiffness of the spring between the drive and its block; K is without it",
         column="stiffness of the spring of the drive",
         example=2.0,
         least=0,
         is_above=True,
-        part="drive",
-        table="drive",
         dimension="stiffness",
     ),
-    Term(
+    _in_drive(
         name="drive_speed",
         words="speed of the drive against the ground, in whose frame all motion is, or its course in time; belts then"
         " rest by default",
         column="speed of the drive",
         example=0.1,
         in_time=True,
-        part="drive",
-        table="drive",
         dimension="speed",
     ),
-    Term(
+    _in_drive(
         name="drive_amplitude",
         words="amplitude of a harmonic part of that speed, amplitude cos(frequency t + phase)",
         column="amplitude of the harmonic part of the drive's speed",
         default=0.0,
-        part="drive",
-        table="drive",
         dimension="speed",
     ),
-    Term(
+    _in_drive(
         name="drive_frequency",
         words="frequency of that part, in radians a unit of time",
         column="frequency of the harmonic part of the drive's speed",
         default=1.0,
         least=0,
         is_above=True,
-        part="drive",
-        table="drive",
         dimension="angular_frequency",
     ),
-    Term(
+    _in_drive(
         name="drive_phase",
         words="phase of that part at t = 0",
         column="phase of the harmonic part of the drive's speed at t = 0",
         default=0.0,
-        part="drive",
-        table="drive",
     ),
     *(
         Term(
