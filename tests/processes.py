@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -24,6 +25,11 @@ def until(is_so: Callable[[], bool], timeout: float = 500.0) -> None:
     while not is_so():
         assert time.monotonic() < end, "it never came true"
         time.sleep(0.01)
+
+
+def python(*arguments: str, **more: Any) -> subprocess.CompletedProcess:
+    """A Python, run to its end; `more` as `subprocess.run` takes it."""
+    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, **more)
 
 
 def is_running(pid: int) -> bool:

@@ -1,22 +1,16 @@
 """The house itself: floors, and that the project speaks of itself alone."""
 
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
+
+from tests.processes import python
 
 ROOT = Path(__file__).parents[1]
 
 
 def test_a_floor_imports_only_from_floors_below():
     """The contracts are in pyproject.toml, under importlinter."""
-    done = subprocess.run(
-        [sys.executable, "-c", "from importlinter.cli import lint_imports_command; lint_imports_command()"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = python("-c", "from importlinter.cli import lint_imports_command; lint_imports_command()", cwd=ROOT)
     assert done.returncode == 0, done.stdout
 
 
@@ -32,7 +26,7 @@ def test_the_name_loads_nothing():
 def test_another_system_is_refused_in_a_line_when_it_is_imported():
     """As Windows calls itself; before anything is loaded that is not there."""
     show = "import os; os.name = 'nt'; import stickslip"
-    done = subprocess.run([sys.executable, "-c", show], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = python("-c", show, cwd=ROOT)
     line = done.stderr.splitlines()[-1]
     assert line.startswith("ImportError: stickslip runs on Linux and macOS, not on 'nt'")
     assert "WSL" in line
@@ -60,7 +54,7 @@ def test_what_lies_beside_the_modules_is_in_a_wheel():
 
 def loaded_by(code):
     show = f"{code}; import sys; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", show], cwd=ROOT, capture_output=True, text=True, check=True)
+    done = python("-c", show, cwd=ROOT, check=True)
     return set(done.stdout.split())
 
 

@@ -6,8 +6,6 @@ import itertools
 import json
 import pickle
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +13,7 @@ import pytest
 
 from stickslip.pipeline import expand, load_scene, parse_scene
 from stickslip.pipeline.ensemble.pack import Batch, tasks
+from tests.processes import python
 from tests.scenes import COULOMB, ensemble
 
 ROOT = Path(__file__).parents[2]
@@ -201,10 +200,7 @@ for name in json.loads(sys.argv[1]):
     version_of.cache_clear()
     print(program())
 """
-    found = subprocess.run(
-        [sys.executable, "-c", asked, json.dumps(changes)],
-        cwd=tmp_path, capture_output=True, text=True, check=True, timeout=500,
-    )  # fmt: skip
+    found = python("-c", asked, json.dumps(changes), cwd=tmp_path, check=True, timeout=500)
     programs = found.stdout.split()
     assert len(programs) == len(changes) + 1
     is_new = [one != other for one, other in itertools.pairwise(programs)]

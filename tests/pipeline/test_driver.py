@@ -22,7 +22,7 @@ from stickslip.pipeline.machine.processes import ONE_THREAD
 from stickslip.pipeline.running import cluster, driver, executor, submit, worker
 from stickslip.sim.engines import ENGINES
 from tests.pipeline.conftest import SOURCE
-from tests.processes import is_running, until
+from tests.processes import is_running, python, until
 
 
 def test_workers_give_the_bytes_of_this_process(scene, source, finished, content, tmp_path):
@@ -99,7 +99,7 @@ def test_a_script_that_every_worker_runs_is_told_so(source, tmp_path):
         "run_ensemble(load_scene(file), 'out')\n"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    done = subprocess.run([sys.executable, script], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    done = python(script, cwd=tmp_path, env=environment)
     assert done.returncode == 1
     assert 'run it under if __name__ == "__main__":' in done.stderr.splitlines()[-1]
     assert 'expected a scene to be run under if __name__ == "__main__":, got a script' in done.stderr

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import sys
 import types
 from pathlib import Path
@@ -19,6 +18,7 @@ from stickslip.pipeline.own.files import name_beside
 from stickslip.pipeline.running.ends import end_of
 from stickslip.workflows.commands import main
 from stickslip.workflows.reporting import study_of
+from tests.processes import python
 from tests.scenes import ENDING, own_law
 
 OWN = """\
@@ -262,13 +262,7 @@ def test_a_function_of_an_installed_package(tmp_path):
         f"    print(run_ensemble(scene, 'out', workers=1).outcomes)\n"
     )
     where = os.pathsep.join([str(tmp_path / "site"), *filter(None, sys.path)])
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": where},
-        capture_output=True,
-        text=True,
-    )
+    done = python("-c", code, cwd=tmp_path, env={**os.environ, "PYTHONPATH": where})
     assert done.returncode == 0, done.stderr
     assert "failed" not in done.stdout
 
@@ -399,7 +393,7 @@ def test_what_a_function_forks_does_not_go_on_in_the_place_of_its_process(fork, 
         "import sys\nfrom stickslip.pipeline import expand, load_scene\n"
         "expand(load_scene(sys.argv[1]))[-1].system()\nprint('made', flush=True)"
     )
-    done = subprocess.run([sys.executable, "-c", code, str(file)], capture_output=True, text=True, check=True)
+    done = python("-c", code, str(file), check=True)
     assert done.stdout == "made\n"
 
 

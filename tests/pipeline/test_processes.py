@@ -22,7 +22,7 @@ from stickslip.pipeline.machine import processes
 from stickslip.pipeline.machine.processes import Child, ChildDied, ErrorStream, environment_kept
 from stickslip.pipeline.machine.scratch import scratch
 from stickslip.pipeline.running.worker import compute, compute_alone
-from tests.processes import is_running, until
+from tests.processes import is_running, python, until
 
 
 def test_a_file_of_the_users_is_no_module_of_ours(scene, tmp_path, monkeypatch):
@@ -289,9 +289,7 @@ with processes.forked_workers():
 
 
 def test_a_program_that_ends_at_once_leaves_no_words_of_semaphores():
-    done = subprocess.run(
-        [sys.executable, "-c", AT_ONCE], env=processes._environment(), capture_output=True, text=True, timeout=60
-    )
+    done = python("-c", AT_ONCE, env=processes._environment(), timeout=60)
     assert (done.returncode, done.stderr) == (130, "")
 
 

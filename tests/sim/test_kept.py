@@ -10,15 +10,13 @@ import re
 import shutil
 import signal
 import stat
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
 import pytest
 
 from stickslip.sim.kernels.cache import CacheError, CacheFiles
-from tests.processes import until
+from tests.processes import python, until
 from tests.scenes import COULOMB, ensemble
 
 #: A user that owns nothing; tests that need one are run by root, who can become any.
@@ -293,14 +291,9 @@ def test_a_run_says_so_in_one_line(top):
     scene.write_text(ensemble([3], 2.0, 1, COULOMB))
     cache.mkdir()
     cache.chmod(0o777)
-    done = subprocess.run(
-        [sys.executable, "-P", "-m", "stickslip", "run", str(scene), "--out", str(top / "out"), "--workers", "1"],
-        env=os.environ | {"NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(Path(__file__).parents[2])},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=500,
-    )
+    words = ["-P", "-m", "stickslip", "run", str(scene), "--out", str(top / "out"), "--workers", "1"]
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(Path(__file__).parents[2])}
+    done = python(*words, env=environment, timeout=500)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert line.startswith("stickslip: kernel cache ")

@@ -11,6 +11,7 @@ import pytest
 
 from stickslip.pipeline.dataset.program import program
 from stickslip.sim import Curve, Harmonic, Rational, Table, draw_system, simulate
+from tests.processes import python
 from tests.scenes import ensemble
 
 SIGMOID = {"engine": "sigmoid", "eps": 0.03, "rtol": 1e-5, "atol": 1e-7}
@@ -66,14 +67,8 @@ def test_a_run_is_the_same_without_a_compiler(name, as_python):
 def test_a_scene_is_run_without_a_compiler(tmp_path):
     """By the command, whose worker inherits the environment; its rows are not mixed with others unsaid."""
     (tmp_path / "small.toml").write_text(ensemble(2, 2.0, 1))
-    done = subprocess.run(
-        [sys.executable, "-m", "stickslip", "run", "small.toml", "--workers", "1", "--no-report"],
-        cwd=tmp_path,
-        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    words = ["-m", "stickslip", "run", "small.toml", "--workers", "1", "--no-report"]
+    done = python(*words, cwd=tmp_path, env=os.environ | {"NUMBA_DISABLE_JIT": "1"})
     assert done.returncode == 0, done.stderr
     (manifest,) = tmp_path.rglob("manifest.json")
     assert json.loads(manifest.read_text())["programs"] == [f"{program()}-not-compiled"]

@@ -38,7 +38,7 @@ from stickslip.workflows.commands.scenes import Scenes
 from stickslip.workflows.progress import Watch
 from stickslip.workflows.reporting import compared, write
 from stickslip.workflows.scenes import find, shipped
-from tests.processes import seconds_of, until
+from tests.processes import python, seconds_of, until
 
 
 def test_run_leaves_data_and_a_report(dataset, capsys):
@@ -633,7 +633,7 @@ for argv, heavy, _ in {LIGHT}:
 
 def test_what_needs_no_data_loads_no_heavy_library():
     """Cold start: nobody waits for dask, pandas or matplotlib to be told what there is."""
-    done = subprocess.run([sys.executable, "-c", LIGHTLY], capture_output=True, text=True, check=False)
+    done = python("-c", LIGHTLY)
     assert done.returncode == 0, done.stderr
     assert all(words in done.stdout for _, _, words in LIGHT)
 

@@ -6,7 +6,6 @@ import doctest
 import os
 import re
 import shlex
-import subprocess
 import sys
 import tomllib
 import types
@@ -38,7 +37,7 @@ from stickslip.workflows import own_questions
 from stickslip.workflows.commands import main
 from stickslip.workflows.gallery import CHARTS
 from stickslip.workflows.reporting import study_of
-from tests.processes import computed_here
+from tests.processes import computed_here, python
 from tests.scenes import own_law
 
 ROOT = Path(__file__).parents[2]
@@ -170,9 +169,7 @@ def test_first_scene_as_a_script(first, tmp_path):
     script.write_text(block("first-run", "python", "run_scene("))
     (tmp_path / "mine.toml").write_bytes((first / "mine.toml").read_bytes())
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        [sys.executable, str(script)], cwd=tmp_path, env=environment, capture_output=True, text=True
-    )
+    done = python(str(script), cwd=tmp_path, env=environment)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("8 members {")
     outcomes = re.findall(r"^\| `(\w+)` \|", page("first-run"), flags=re.MULTILINE)

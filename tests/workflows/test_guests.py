@@ -3,13 +3,13 @@
 import os
 import re
 import shutil
-import subprocess
-import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from stickslip.pipeline import parse_scene, run_ensemble
+from tests.processes import python
 from tests.scenes import own_law
 from tests.workflows.test_docs import ROOT, blocks, page
 
@@ -149,14 +149,7 @@ def house(tmp_path_factory):
     for add in (add_engines, add_term, add_law, add_coupling, add_record, add_question):
         add(root)
     shutil.copy(Path(__file__).with_name("guests.py"), root)
-
-    def python(*arguments):
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        return subprocess.run(
-            [sys.executable, *arguments], cwd=root, env=environment, capture_output=True, text=True, check=False
-        )
-
-    return python
+    return partial(python, cwd=root, env={**os.environ, "PYTHONPATH": str(ROOT)})
 
 
 #: A page by the exact engine, and one by the same engine under another name.
@@ -190,9 +183,7 @@ for name in ("coulomb", "another"):
 def test_an_exact_engine_by_another_name_gives_the_same_page(tmp_path):
     """All records and questions but for the name; whatever is of the exact law is of both."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(Path(__file__).parent)))}
-    done = subprocess.run(
-        [sys.executable, "-c", TWO_PAGES, str(tmp_path)], env=environment, capture_output=True, text=True, check=False
-    )
+    done = python("-c", TWO_PAGES, str(tmp_path), env=environment)
     assert done.returncode == 0, done.stderr
     first, second, _ = done.stdout.replace("coulomb", "another").replace("exact", "another").split("--\n")
     assert len(first) > 1000

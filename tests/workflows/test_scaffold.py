@@ -2,8 +2,6 @@
 
 import json
 import re
-import subprocess
-import sys
 import tomllib
 from importlib.metadata import version
 
@@ -25,6 +23,7 @@ from stickslip.workflows.scaffold import SCHEMA, schema_text
 from stickslip.workflows.scenes import chart_of, find, shipped
 from tests.pipeline.conftest import SOURCE
 from tests.pipeline.test_scene import BAD
+from tests.processes import python
 
 
 def problems(schema, table):
@@ -206,5 +205,5 @@ def test_a_package_loads_its_rooms_as_they_are_asked_for(package, room, heavy):
     with pytest.raises(AttributeError, match="nonesuch"):
         package.nonesuch  # noqa: B018  # asking is the test
     code = f"import sys, {room}; sys.exit(', '.join({heavy!r} & set(sys.modules)) or 0)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = python("-c", code)
     assert done.returncode == 0, done.stderr
