@@ -114,18 +114,15 @@ def walk(values, definition):
     return found
 
 
-@pytest.mark.parametrize(
-    ("t", "n", "start", "stop", "named"),
-    [
-        ([0.0, 1.0], [1], 0.0, 2.0, "n_stick"),
-        ([], [], 0.0, 2.0, "n_stick"),
-        ([0.0, 1.0], [1.0, 2.0], 0.0, 2.0, "integers"),
-        ([1.0, 0.0], [1, 2], 1.0, 2.0, "decrease"),
-        ([0.0, np.nan], [1, 2], 0.0, 2.0, "finite"),
-        ([0.0, 1.0], [1, 2], 2.0, 2.0, "t_start"),
-        ([0.5, 1.0], [1, 2], 0.0, 2.0, "at or before"),
-    ],
-)
+@pytest.mark.parametrize(("t", "n", "start", "stop", "named"), [
+    ([0.0, 1.0], [1], 0.0, 2.0, "n_stick"),
+    ([], [], 0.0, 2.0, "n_stick"),
+    ([0.0, 1.0], [1.0, 2.0], 0.0, 2.0, "integers"),
+    ([1.0, 0.0], [1, 2], 1.0, 2.0, "decrease"),
+    ([0.0, np.nan], [1, 2], 0.0, 2.0, "finite"),
+    ([0.0, 1.0], [1, 2], 2.0, 2.0, "t_start"),
+    ([0.5, 1.0], [1, 2], 0.0, 2.0, "at or before"),
+])  # fmt: skip
 def test_bad_series_are_refused_by_name(t, n, start, stop, named):
     with pytest.raises(ValueError, match=named):
         window(np.array(t), np.array(n, dtype=None if n else int), start, stop)

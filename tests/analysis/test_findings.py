@@ -53,18 +53,15 @@ KAPPA = (KeyChange("kappa", "0.1", "0.4"),)
 LATE = Quantity("lifetime", "median lifetime", more="longer", less="shorter")
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "margin", "verdict"),
-    [
-        (0.006, 0.013, None, Verdict.MORE),
-        (-0.013, -0.006, None, Verdict.LESS),
-        (-0.001, 0.013, None, Verdict.OPEN),
-        (0.006, 0.013, 0.05, Verdict.EQUAL),
-        (-0.001, 0.06, 0.05, Verdict.OPEN),
-        (0.01, 0.06, 0.05, Verdict.MORE),
-        (None, None, 0.05, Verdict.UNJUDGED),
-    ],
-)
+@pytest.mark.parametrize(("low", "high", "margin", "verdict"), [
+    (0.006, 0.013, None, Verdict.MORE),
+    (-0.013, -0.006, None, Verdict.LESS),
+    (-0.001, 0.013, None, Verdict.OPEN),
+    (0.006, 0.013, 0.05, Verdict.EQUAL),
+    (-0.001, 0.06, 0.05, Verdict.OPEN),
+    (0.01, 0.06, 0.05, Verdict.MORE),
+    (None, None, 0.05, Verdict.UNJUDGED),
+])  # fmt: skip
 def test_the_interval_decides(low, high, margin, verdict):
     middle = None if low is None else (low + high) / 2
     assert Difference(Estimate(middle, low, high), margin=margin).verdict is verdict

@@ -58,16 +58,13 @@ def test_a_geometric_law_shows_no_departure_in_most_cases(planted, settings, rng
     assert agrees(sum(verdict(law.departure) is Verdict.OPEN for law in laws), len(laws), 0.95)
 
 
-@pytest.mark.parametrize(
-    ("law", "fit", "side", "error"),
-    [
-        pytest.param(pool.law(30, 4.875, 30), Fit.CLOSE, Verdict.LESS, 0.013, id="pool of 30 blocks"),
-        pytest.param(
-            (studies.geometric(0.5) + studies.geometric(1.1)) / 2, Fit.CLOSE, Verdict.MORE, 0.028, id="two rates"
-        ),
-        pytest.param(np.arange(1.0, 101) ** -2.5, Fit.FAILS, Verdict.MORE, 1.0, id="power law"),
-    ],
-)
+@pytest.mark.parametrize(("law", "fit", "side", "error"), [
+    pytest.param(pool.law(30, 4.875, 30), Fit.CLOSE, Verdict.LESS, 0.013, id="pool of 30 blocks"),
+    pytest.param(
+        (studies.geometric(0.5) + studies.geometric(1.1)) / 2, Fit.CLOSE, Verdict.MORE, 0.028, id="two rates"
+    ),
+    pytest.param(np.arange(1.0, 101) ** -2.5, Fit.FAILS, Verdict.MORE, 1.0, id="power law"),
+])  # fmt: skip
 def test_the_variance_tells_other_laws_from_a_geometric_one(planted, settings, rng, law, fit, side, error):
     law = law[:100] / law[:100].sum()
     answer = cascades.answer(study_of(planted, settings, law, rng))

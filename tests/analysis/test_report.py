@@ -83,18 +83,15 @@ def scarce(planted):
     }
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "one matrix",
-        "two matrices",
-        "nothing changes",
-        "only ones",
-        "no complete cascade",
-        "all failed",
-        "all collapsed",
-    ],
-)
+@pytest.mark.parametrize("name", [
+    "one matrix",
+    "two matrices",
+    "nothing changes",
+    "only ones",
+    "no complete cascade",
+    "all failed",
+    "all collapsed",
+])  # fmt: skip
 def test_too_little_data_is_said_and_breaks_nothing(scarce, settings, name):
     report = report_of(scarce[name], settings)
     assert "Not answered:" in text_of(report)
@@ -191,36 +188,30 @@ def test_a_question_that_there_is_not_is_refused_by_name(scarce, settings):
         report_of(scarce["two matrices"], replace(settings, question=("fates", "collectives")))
 
 
-@pytest.mark.parametrize(
-    ("spoil", "named"),
-    [
-        (lambda m, s: (pd.concat([m, m]), s), "more than once"),
-        (lambda m, s: (m.assign(t_end=100.0), s), "t_burn"),
-        (lambda m, s: (m, {}), "coulomb-000"),
-        (lambda m, s: (m.assign(outcome="collapsed"), {}), "of the member 'coulomb-000'"),
-        (lambda m, s: (m, s | {"coulomb-001": (np.array([500.0]), np.array([1]))}), "coulomb-001"),
-    ],
-)
+@pytest.mark.parametrize(("spoil", "named"), [
+    (lambda m, s: (pd.concat([m, m]), s), "more than once"),
+    (lambda m, s: (m.assign(t_end=100.0), s), "t_burn"),
+    (lambda m, s: (m, {}), "coulomb-000"),
+    (lambda m, s: (m.assign(outcome="collapsed"), {}), "of the member 'coulomb-000'"),
+    (lambda m, s: (m, s | {"coulomb-001": (np.array([500.0]), np.array([1]))}), "coulomb-001"),
+])  # fmt: skip
 def test_contradictory_input_is_refused_by_name(planted, settings, spoil, named):
     with pytest.raises(ValueError, match=named):
         report_of(spoil(*planted.ensemble({"coulomb": LN2}, 2)), settings)
 
 
-@pytest.mark.parametrize(
-    ("changes", "named"),
-    [
-        ({"t_burn": -1.0}, "t_burn"),
-        ({"t_burn": math.nan}, "t_burn"),
-        ({"dt": ()}, "dt"),
-        ({"dt": (1.0, 1.0)}, "dt"),
-        ({"dt": (0.0,)}, "dt"),
-        ({"resamples": 1}, "resamples"),
-        ({"confidence": 95.0}, "confidence"),
-        ({"confidence": 0.9999999999999999}, "confidence: expected a number from 0.5 to 0.999999"),
-        ({"confidence": 0.49}, "confidence"),
-        ({"seed": -1}, "seed"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "named"), [
+    ({"t_burn": -1.0}, "t_burn"),
+    ({"t_burn": math.nan}, "t_burn"),
+    ({"dt": ()}, "dt"),
+    ({"dt": (1.0, 1.0)}, "dt"),
+    ({"dt": (0.0,)}, "dt"),
+    ({"resamples": 1}, "resamples"),
+    ({"confidence": 95.0}, "confidence"),
+    ({"confidence": 0.9999999999999999}, "confidence: expected a number from 0.5 to 0.999999"),
+    ({"confidence": 0.49}, "confidence"),
+    ({"seed": -1}, "seed"),
+])  # fmt: skip
 def test_settings_out_of_range_are_refused_by_name(changes, named):
     good = {"t_burn": 0.0, "dt": (1.0,), "resamples": 10, "confidence": 0.95, "seed": 0}
     with pytest.raises(ValueError, match=named):

@@ -24,17 +24,14 @@ def runs_of(planted, rng, systems, n_starts, unit=None):
     return Data(members(pd.DataFrame(rows), unit), series)
 
 
-@pytest.mark.parametrize(
-    ("systems", "n_starts", "unit", "n_units"),
-    [
-        ([(None, m) for m in range(6)], 1, MATRIX, 6),
-        ([(None, m) for m in range(6)], 5, MATRIX, 6),
-        ([(None, 0)], 30, START, 30),
-        ([("K.npz", 77)], 30, START, 30),
-        ([("K.npz", m) for m in (9, 4, 7)], 5, MATRIX, 3),
-        ([(f"K{m}.npz", m) for m in range(6)], 1, FILE, 6),
-    ],
-)
+@pytest.mark.parametrize(("systems", "n_starts", "unit", "n_units"), [
+    ([(None, m) for m in range(6)], 1, MATRIX, 6),
+    ([(None, m) for m in range(6)], 5, MATRIX, 6),
+    ([(None, 0)], 30, START, 30),
+    ([("K.npz", 77)], 30, START, 30),
+    ([("K.npz", m) for m in (9, 4, 7)], 5, MATRIX, 3),
+    ([(f"K{m}.npz", m) for m in range(6)], 1, FILE, 6),
+])  # fmt: skip
 def test_the_interval_is_over_the_units(planted, settings, rng, systems, n_starts, unit, n_units):
     data = runs_of(planted, rng, systems, n_starts, unit)
     (group,) = Study(data, settings).groups

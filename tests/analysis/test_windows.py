@@ -107,16 +107,13 @@ def test_stacks_in_parts_are_the_same_runs(rng):
     assert whole.last[0].tolist() == [t[-1] for t, _ in series]
 
 
-@pytest.mark.parametrize(
-    ("points", "word"),
-    [
-        (([0.0, 1.0], [1]), "one length"),
-        (([0.0, 1.0], [1.0, 2.0]), "expected integers"),
-        (([0.0, 3.0, 2.5], [1, 2, 1]), "do not decrease"),
-        (([0.0, np.nan], [1, 2]), "expected finite"),
-        (([2.5, 3.0], [1, 2]), "at or before t_start"),
-    ],
-)
+@pytest.mark.parametrize(("points", "word"), [
+    (([0.0, 1.0], [1]), "one length"),
+    (([0.0, 1.0], [1.0, 2.0]), "expected integers"),
+    (([0.0, 3.0, 2.5], [1, 2, 1]), "do not decrease"),
+    (([0.0, np.nan], [1, 2]), "expected finite"),
+    (([2.5, 3.0], [1, 2]), "at or before t_start"),
+])  # fmt: skip
 def test_what_is_no_series_is_refused_by_its_place(points, word):
     good = (np.array([0.0, 3.0]), np.array([2, 1]))
     with pytest.raises(NoSeries, match=word) as caught:

@@ -109,17 +109,14 @@ def test_coordinates_say_what_members_are():
         assert point.at[0] == (members[k].term("friction"),)  # noqa: PD008
 
 
-@pytest.mark.parametrize(
-    "grown",
-    [
-        {"matrices": 3},
-        {"draws": 3},
-        {"seed": "[5, 7, 8]"},
-        {"friction": "[0.8, 0.9, {uniform = [0.8, 1.2]}, 1.0]"},
-        {"eps": "[0.02, 0.05]"},
-        {"matrices": 3, "seed": "[5, 7, 8]", "friction": "[0.7, 0.8, 1.0]", "eps": "[0.02, 0.05]"},
-    ],
-)
+@pytest.mark.parametrize("grown", [
+    {"matrices": 3},
+    {"draws": 3},
+    {"seed": "[5, 7, 8]"},
+    {"friction": "[0.8, 0.9, {uniform = [0.8, 1.2]}, 1.0]"},
+    {"eps": "[0.02, 0.05]"},
+    {"matrices": 3, "seed": "[5, 7, 8]", "friction": "[0.7, 0.8, 1.0]", "eps": "[0.02, 0.05]"},
+])  # fmt: skip
 def test_what_had_a_number_keeps_it(grown):
     before, _ = numbered(scene())
     numbering, members = numbered(scene(), scene(**grown))

@@ -55,16 +55,13 @@ def test_growing_a_scene_renames_nobody_and_changes_nothing(scene, source):
     assert before == {name: after[name] for name in before}
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ('name = "coulomb"', 'name = "coulomb"\ntol = 1e-9'),
-        ("sizes = [0.05, 0.01]", "sizes = [0.05000001, 0.01]"),
-        ('stick = "threshold"', 'stick = "threshold"\nthreshold = 1.5'),
-        ('stick = "threshold"', 'stick = "manifold"'),
-        ('ratio = "uniform"', 'rtol = 1e-7\nratio = "uniform"'),
-    ],
-)
+@pytest.mark.parametrize(("old", "new"), [
+    ('name = "coulomb"', 'name = "coulomb"\ntol = 1e-9'),
+    ("sizes = [0.05, 0.01]", "sizes = [0.05000001, 0.01]"),
+    ('stick = "threshold"', 'stick = "threshold"\nthreshold = 1.5'),
+    ('stick = "threshold"', 'stick = "manifold"'),
+    ('ratio = "uniform"', 'rtol = 1e-7\nratio = "uniform"'),
+])  # fmt: skip
 def test_another_setting_is_another_name(scene, source, old, new):
     other = change(source, it=(old, new))
     assert set(by_id(other)) != set(by_id(scene))

@@ -94,23 +94,20 @@ def test_a_sweep_of_the_drive_and_the_members_that_it_makes():
         assert member.row()["w0"] is None
 
 
-@pytest.mark.parametrize(
-    ("drive", "system", "why"),
-    [
-        ({"block": "derrick"}, {}, "drive.block: expected one of table, pipe, collar, bit, got 'derrick'"),
-        ({"block": 4}, {}, "drive.block: expected an integer from 0 to 3, got 4"),
-        ({"block": ["table"]}, {}, "block"),
-        ({"spring": 0.0}, {}, "expected a finite number > 0"),
-        ({"spring": None}, {}, "spring: expected that of the drive"),
-        ({"speed": {"times": [0.0, 1.0], "values": [0.0]}}, {}, "drive.speed: expected times that increase"),
-        ({"speed": {"table": "speed.csv"}}, {}, "drive.speed: speed.csv cannot be read"),
-        ({"speed": [{"times": [0.0], "values": [0.0]}]}, {}, "drive.speed: expected no course in a list"),
-        ({"tension": 3.0}, {}, "unknown key"),
-        ({}, {"contacts": ["bit", "bit"]}, "contacts: expected each block once"),
-        ({}, {"contacts": []}, "contacts: expected each block once, and some"),
-        ({}, {"contacts": ["tool joint"]}, "contacts: expected one of table"),
-    ],
-)
+@pytest.mark.parametrize(("drive", "system", "why"), [
+    ({"block": "derrick"}, {}, "drive.block: expected one of table, pipe, collar, bit, got 'derrick'"),
+    ({"block": 4}, {}, "drive.block: expected an integer from 0 to 3, got 4"),
+    ({"block": ["table"]}, {}, "block"),
+    ({"spring": 0.0}, {}, "expected a finite number > 0"),
+    ({"spring": None}, {}, "spring: expected that of the drive"),
+    ({"speed": {"times": [0.0, 1.0], "values": [0.0]}}, {}, "drive.speed: expected times that increase"),
+    ({"speed": {"table": "speed.csv"}}, {}, "drive.speed: speed.csv cannot be read"),
+    ({"speed": [{"times": [0.0], "values": [0.0]}]}, {}, "drive.speed: expected no course in a list"),
+    ({"tension": 3.0}, {}, "unknown key"),
+    ({}, {"contacts": ["bit", "bit"]}, "contacts: expected each block once"),
+    ({}, {"contacts": []}, "contacts: expected each block once, and some"),
+    ({}, {"contacts": ["tool joint"]}, "contacts: expected one of table"),
+])  # fmt: skip
 def test_a_drive_that_is_none_is_refused(drive, system, why):
     with pytest.raises(SceneError) as error:
         scene(drive=drive, **system)

@@ -33,20 +33,17 @@ def test_a_law_never_drives():
         System(np.eye(2), 0.1, [1.0, -1.0])
 
 
-@pytest.mark.parametrize(
-    "keys",
-    [
-        "friction = {times = [0.0, 1.0], values = [1.0, 0.0]}",
-        'friction = {table = "load.csv"}',
-        "friction = {amplitude = 0.5, frequency = 1.0}",
-        "friction = [1.0, {times = [0.0], values = [1.0]}]",
-        "static = {times = [0.0, 1.0], values = [1.0, 2.0]}",
-        "contacts = {blocks = [0], lift_off = true}",
-        "contacts = [{block = 0, normal = 1.0}]",
-        "normal = 2.0",
-        "lift_off = true",
-    ],
-)
+@pytest.mark.parametrize("keys", [
+    "friction = {times = [0.0, 1.0], values = [1.0, 0.0]}",
+    'friction = {table = "load.csv"}',
+    "friction = {amplitude = 0.5, frequency = 1.0}",
+    "friction = [1.0, {times = [0.0], values = [1.0]}]",
+    "static = {times = [0.0, 1.0], values = [1.0, 2.0]}",
+    "contacts = {blocks = [0], lift_off = true}",
+    "contacts = [{block = 0, normal = 1.0}]",
+    "normal = 2.0",
+    "lift_off = true",
+])  # fmt: skip
 def test_a_scene_that_asks_for_it_is_told_what_to_do(keys):
     key = keys.partition(" ")[0]
     with pytest.raises(SceneError, match=rf"system\.{key}: expected .*; {TO_DO}"):

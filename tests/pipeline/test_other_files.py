@@ -173,18 +173,15 @@ def test_a_series_is_two_columns(content, columns):
     assert values.tolist() == SPEEDS.tolist()
 
 
-@pytest.mark.parametrize(
-    ("content", "columns", "words"),
-    [
-        (b"0,1,2\n1,2,3\n", (), r'expected two columns, got 3; name two, as columns = \["t", "v"\]'),
-        (b"t,v\n0,1\n", ("t", "w"), r"expected a column 'w', got 't', 'v'"),
-        (b"0,1\n", ("t", "v"), r"expected a column 't', got none with a heading; give numbers from 0"),
-        (b"0,1\n", (0, 2), r"expected a column from 0 to 1, got 2"),
-        (mat(a=TIMES, b=TIMES), (), r'expected two arrays, got a, b; name two, as columns = \["t", "v"\]'),
-        (mat(t=TIMES, v=TIMES[:2]), (), r"expected as many times as values, got 4 and 2"),
-        (mat(t=TIMES, v=TIMES), ("t", "w"), r"expected an array 'w', got t, v"),
-    ],
-)
+@pytest.mark.parametrize(("content", "columns", "words"), [
+    (b"0,1,2\n1,2,3\n", (), r'expected two columns, got 3; name two, as columns = \["t", "v"\]'),
+    (b"t,v\n0,1\n", ("t", "w"), r"expected a column 'w', got 't', 'v'"),
+    (b"0,1\n", ("t", "v"), r"expected a column 't', got none with a heading; give numbers from 0"),
+    (b"0,1\n", (0, 2), r"expected a column from 0 to 1, got 2"),
+    (mat(a=TIMES, b=TIMES), (), r'expected two arrays, got a, b; name two, as columns = \["t", "v"\]'),
+    (mat(t=TIMES, v=TIMES[:2]), (), r"expected as many times as values, got 4 and 2"),
+    (mat(t=TIMES, v=TIMES), ("t", "w"), r"expected an array 'w', got t, v"),
+])  # fmt: skip
 def test_what_is_no_series_is_refused(content, columns, words):
     with pytest.raises(ValueError, match=words):
         series_of(content, columns)

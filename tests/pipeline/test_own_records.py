@@ -382,17 +382,14 @@ def test_what_is_no_record_is_refused_in_a_line_and_nothing_is_written(case, tex
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    ("own", "words"),
-    [
-        ('"mine"', "expected module:function"),
-        ('["mine:one", "mine:one"]', "each value once"),
-        ("3", "record.own"),
-        ('"mine:one"\nfunctions = {}', "expected what `load_scene` and the command write here for mine:one"),
-        ('"mine:one"\ndt = 0.5', "dt: expected only with some of"),
-        ('"mine:needs"', "dt: expected with `own = 'mine:needs'`"),
-    ],
-)
+@pytest.mark.parametrize(("own", "words"), [
+    ('"mine"', "expected module:function"),
+    ('["mine:one", "mine:one"]', "each value once"),
+    ("3", "record.own"),
+    ('"mine:one"\nfunctions = {}', "expected what `load_scene` and the command write here for mine:one"),
+    ('"mine:one"\ndt = 0.5', "dt: expected only with some of"),
+    ('"mine:needs"', "dt: expected with `own = 'mine:needs'`"),
+])  # fmt: skip
 def test_a_key_that_is_wrong_is_refused(own, words, text, tmp_path):
     mine = one("return Measured(1.0)") + "\n\ndef needs(run, system, window, samples) -> Measured:\n    return 1\n"
     with pytest.raises(SceneError) as refusal:

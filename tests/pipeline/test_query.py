@@ -247,48 +247,45 @@ def test_sql_nulls_are_not_nan(finished):
     assert drawn.isna().any()
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "SELECT * FROM read_text('{secret}')",
-        "SELECT * FROM '{secret}'",
-        "SELECT * FROM read_csv('{secret}')",
-        "SELECT * FROM read_parquet('{shard}')",
-        "SELECT * FROM glob('{folder}/*')",
-        "COPY members TO '{folder}/out.csv'",
-        "COPY (SELECT 1) TO '{folder}/out.parquet'",
-        "ATTACH '{folder}/out.db'",
-        "EXPORT DATABASE '{folder}/out'",
-        "INSTALL httpfs",
-        "LOAD '{secret}'",
-        "SET enable_external_access = true",
-        "RESET enable_external_access",
-        "SET temp_directory = '{folder}'",
-        "SET python_enable_replacements = true",
-        "SELECT * FROM source",  # a variable of the function that asks
-        "SELECT 1; SELECT * FROM read_text('{secret}')",
-        "SELECT * FROM read_csv('/etc/passwd')",
-        "SELECT getenv('PATH')",
-        "SELECT * FROM 'https://example.org/a.csv'",
-        "SELECT * FROM 's3://bucket/a.parquet'",
-        "LOAD httpfs",
-        "CREATE SECRET (TYPE s3)",
-        "CREATE TABLE mine AS SELECT 1",
-        "CREATE VIEW members AS SELECT 1",
-        "DROP VIEW members",
-        "PRAGMA database_list",
-        "PRAGMA enable_external_access = true",
-        "CALL pragma_version()",
-        "SET threads = 64",
-        "SET memory_limit = '1TB'",
-        "IMPORT DATABASE '{folder}'",
-        "PREPARE p AS SELECT 1",
-        "BEGIN TRANSACTION",
-        "VACUUM",
-        "CHECKPOINT",
-        "USE memory",
-    ],
-)
+@pytest.mark.parametrize("text", [
+    "SELECT * FROM read_text('{secret}')",
+    "SELECT * FROM '{secret}'",
+    "SELECT * FROM read_csv('{secret}')",
+    "SELECT * FROM read_parquet('{shard}')",
+    "SELECT * FROM glob('{folder}/*')",
+    "COPY members TO '{folder}/out.csv'",
+    "COPY (SELECT 1) TO '{folder}/out.parquet'",
+    "ATTACH '{folder}/out.db'",
+    "EXPORT DATABASE '{folder}/out'",
+    "INSTALL httpfs",
+    "LOAD '{secret}'",
+    "SET enable_external_access = true",
+    "RESET enable_external_access",
+    "SET temp_directory = '{folder}'",
+    "SET python_enable_replacements = true",
+    "SELECT * FROM source",  # a variable of the function that asks
+    "SELECT 1; SELECT * FROM read_text('{secret}')",
+    "SELECT * FROM read_csv('/etc/passwd')",
+    "SELECT getenv('PATH')",
+    "SELECT * FROM 'https://example.org/a.csv'",
+    "SELECT * FROM 's3://bucket/a.parquet'",
+    "LOAD httpfs",
+    "CREATE SECRET (TYPE s3)",
+    "CREATE TABLE mine AS SELECT 1",
+    "CREATE VIEW members AS SELECT 1",
+    "DROP VIEW members",
+    "PRAGMA database_list",
+    "PRAGMA enable_external_access = true",
+    "CALL pragma_version()",
+    "SET threads = 64",
+    "SET memory_limit = '1TB'",
+    "IMPORT DATABASE '{folder}'",
+    "PREPARE p AS SELECT 1",
+    "BEGIN TRANSACTION",
+    "VACUUM",
+    "CHECKPOINT",
+    "USE memory",
+])  # fmt: skip
 def test_sql_reaches_nothing_outside(text, finished, tmp_path):
     secret = tmp_path / "secret.csv"
     secret.write_text("a,b\n1,2\n")
@@ -306,19 +303,16 @@ def test_sql_changes_nothing(copy, content):
     assert content(copy) == before
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "EXPLAIN SELECT * FROM members",
-        "DESCRIBE n_stick",
-        "SUMMARIZE members",
-        "SHOW TABLES",
-        "VALUES (1)",
-        "FROM members",
-        "WITH a AS (SELECT 1) SELECT * FROM a;  -- and a comment",
-        "PIVOT members ON engine USING count(*) GROUP BY n",
-    ],
-)
+@pytest.mark.parametrize("text", [
+    "EXPLAIN SELECT * FROM members",
+    "DESCRIBE n_stick",
+    "SUMMARIZE members",
+    "SHOW TABLES",
+    "VALUES (1)",
+    "FROM members",
+    "WITH a AS (SELECT 1) SELECT * FROM a;  -- and a comment",
+    "PIVOT members ON engine USING count(*) GROUP BY n",
+])  # fmt: skip
 def test_all_that_reads_is_allowed(text, finished):
     assert len(query.sql(finished, text))
 

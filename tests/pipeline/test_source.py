@@ -87,19 +87,16 @@ def test_the_source_is_text():
     assert parse_scene(text.encode()).source == text  # to the byte
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"run": {"t_end": -1.0, "matrices": 2}},
-        {"system": {"coupling": "antisymetric", "n": 5}},
-        {"system": {"coupling": "file", "path": "nonesuch.npz", "n": 5}},
-        {"system": {"coupling": "nonesuch:draw", "n": 5}},
-        {"run": {"t_end": [5.0, 6.0], "matrices": 2}},
-        {"colour": 3},
-        {"engine": [{"name": "sigmoid", "eps": "0.03"}]},
-        {"analysis": {"t_burn": 9.0, "dt": 0.5}},
-    ],
-)
+@pytest.mark.parametrize("wrong", [
+    {"run": {"t_end": -1.0, "matrices": 2}},
+    {"system": {"coupling": "antisymetric", "n": 5}},
+    {"system": {"coupling": "file", "path": "nonesuch.npz", "n": 5}},
+    {"system": {"coupling": "nonesuch:draw", "n": 5}},
+    {"run": {"t_end": [5.0, 6.0], "matrices": 2}},
+    {"colour": 3},
+    {"engine": [{"name": "sigmoid", "eps": "0.03"}]},
+    {"analysis": {"t_burn": 9.0, "dt": 0.5}},
+])  # fmt: skip
 def test_errors_in_python_are_those_of_a_file(wrong, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     tables = plain(TABLES | wrong)

@@ -200,15 +200,12 @@ BAD = {
     "no dataset": (GOES_ON.replace("first", "none"), "", ["start.dataset", "runs/none", "no such directory"]),
     "other matrices": (GOES_ON, "seed = 1", ["start.dataset", "the same system as n4-m000-e", "seed, n, matrices"]),
     "end of none": ('[start]\nz = "end"\nw = "end"', "", ["start.dataset", '"end"']),
-    "draws of none": (
-        f"{GOES_ON}\ndraws = 3",
-        "",
-        ["start.dataset", "the same system as n4-m000-s0-e", "and draws must"],
-    ),
+    "draws of none": (f"{GOES_ON}\ndraws = 3", "",
+        ["start.dataset", "the same system as n4-m000-s0-e", "and draws must"]),
     "a start beside": (f"{GOES_ON}\nz = 0.0\nw = 0.0", "", ["start.dataset", 'z or w = "end"']),
     "a word": ('[start]\nz = 0.0\nw = "bolt"', "", ["start.w", "'bolt'"]),
     "z on the belt": ('[start]\nz = "belt"\nw = 0.0', "", ["start.z", "'belt'"]),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", BAD)

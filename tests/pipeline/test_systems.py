@@ -311,18 +311,15 @@ def test_a_file_that_is_none_is_refused_in_a_line(case, tmp_path, arrays, capsys
 BAD_SCENES = {
     "no such file": ("K.npz", "none.npz", ["system.path", "'none.npz'", "names none in"]),
     "a folder": ('"K.npz"', '"."', ["system.path: expected a file, got the directory '.'"]),
-    "another kind of file": (
-        '"K.npz"',
-        '"mine.toml"',
-        ["system.path", "mine.toml: expected an .npz", "something else"],
-    ),
+    "another kind of file": ('"K.npz"', '"mine.toml"',
+        ["system.path", "mine.toml: expected an .npz", "something else"]),
     "no path": ('path = "K.npz"\n', "", ["system.path", 'add `path = "K.npz"`']),
     "a path of an ensemble": ('"file"\npath', '"full"\npath', ["system.path", 'coupling = "full"']),
     "a key that the file has": ("n = 4", "n = 4\nfriction = 1.0", ["system.friction", "array `friction` of K.npz"]),
     "a start that the file lacks": ("w = {uniform = [-0.3, 0.1]}\ndraws = 2", 'w = "file"', ["start.w", "`w0`"]),
     "a scale of a file": ("n = 4", "n = 4\nkappa = 0.2", ["system.kappa", "K itself", "remove it"]),
     "more n than files": ("n = 4", "n = [4, 5]", ["system.n", "of the files, [4], got [4, 5]; leave n out"]),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(("more", "is_said"), [({}, True), ({"mass": np.full(4, 2.0)}, False)])

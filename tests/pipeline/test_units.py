@@ -221,25 +221,22 @@ def test_files_and_functions_are_in_the_units_of_their_scene(tmp_path):
     assert min(events) > 1
 
 
-@pytest.mark.parametrize(
-    ("units", "why"),
-    [
-        ({"time": "s"}, "length: expected either `length` or `angle`, got neither"),
-        ({"time": "s", "length": "m"}, "mass: expected either `mass` or `inertia`, got neither"),
-        ({"time": "s", "length": "m", "angle": "rad", "mass": "kg"}, "got both"),
-        ({"time": "s", "length": "m", "inertia": "kg m^2"}, "got a mixture"),
-        ({"length": "m", "mass": "kg"}, "units.time"),
-        ({"time": "sec", "length": "m", "mass": "kg"}, "units.time: expected 's', 'ms'"),
-        ({"time": "s", "length": "furlong", "mass": "kg"}, "units.length"),
-        ({"time": "s", "length": "m", "mass": "lb"}, "units.mass"),
-        ({"time": "s", "length": "m", "mass": "kg", "force": "kN"}, "unknown key"),
-        ({"time": 1.0, "length": "m", "mass": "kg"}, "units.time"),
-        (SI | {"scales": {"length": 1.0, "time": 0.0, "force": 1.0}}, "greater than 0"),
-        (SI | {"scales": {"length": 1e300, "time": 1.0, "force": 1.0}}, "units.scales.length: expected a scale from"),
-        ({"time": "s", "length": "m", "mass": "kg", "scales": {"length": 1.0}}, "units.scales.time"),
-        ("SI", "units"),
-    ],
-)
+@pytest.mark.parametrize(("units", "why"), [
+    ({"time": "s"}, "length: expected either `length` or `angle`, got neither"),
+    ({"time": "s", "length": "m"}, "mass: expected either `mass` or `inertia`, got neither"),
+    ({"time": "s", "length": "m", "angle": "rad", "mass": "kg"}, "got both"),
+    ({"time": "s", "length": "m", "inertia": "kg m^2"}, "got a mixture"),
+    ({"length": "m", "mass": "kg"}, "units.time"),
+    ({"time": "sec", "length": "m", "mass": "kg"}, "units.time: expected 's', 'ms'"),
+    ({"time": "s", "length": "furlong", "mass": "kg"}, "units.length"),
+    ({"time": "s", "length": "m", "mass": "lb"}, "units.mass"),
+    ({"time": "s", "length": "m", "mass": "kg", "force": "kN"}, "unknown key"),
+    ({"time": 1.0, "length": "m", "mass": "kg"}, "units.time"),
+    (SI | {"scales": {"length": 1.0, "time": 0.0, "force": 1.0}}, "greater than 0"),
+    (SI | {"scales": {"length": 1e300, "time": 1.0, "force": 1.0}}, "units.scales.length: expected a scale from"),
+    ({"time": "s", "length": "m", "mass": "kg", "scales": {"length": 1.0}}, "units.scales.time"),
+    ("SI", "units"),
+])  # fmt: skip
 def test_units_that_are_none_are_refused(units, why):
     with pytest.raises(SceneError) as error:
         drill().changed(units=units)

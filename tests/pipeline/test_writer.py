@@ -379,19 +379,16 @@ def test_a_directory_of_something_else_is_refused_and_left_alone(scene, source, 
         status(tmp_path)
 
 
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        lambda text: "",
-        lambda text: text[: len(text) // 2],
-        lambda text: text.replace('"rows"', '"row"', 1),
-        lambda text: text.replace('"rows": 3', '"rows": 2', 1),
-        lambda text: text.replace('"schema_version": 3', '"schema_version": 7'),
-        lambda text: text.replace('"shard-00000-', '"../shard-00000-', 1),
-        lambda text: "[]",
-        None,
-    ],
-)
+@pytest.mark.parametrize("spoil", [
+    lambda text: "",
+    lambda text: text[: len(text) // 2],
+    lambda text: text.replace('"rows"', '"row"', 1),
+    lambda text: text.replace('"rows": 3', '"rows": 2', 1),
+    lambda text: text.replace('"schema_version": 3', '"schema_version": 7'),
+    lambda text: text.replace('"shard-00000-', '"../shard-00000-', 1),
+    lambda text: "[]",
+    None,
+])  # fmt: skip
 def test_a_lost_manifest_is_made_again_from_the_record_of_the_commits(
     spoil, copy, scene, source, content, finished, monkeypatch
 ):

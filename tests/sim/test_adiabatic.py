@@ -145,18 +145,15 @@ def test_weakening_without_back_slip_loads_to_the_open_side(rng):
     assert run.loaded.moment[:-1].sum() + stored == pytest.approx(travel, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("terms", "options", "words"),
-    [
-        ({"static": 1.0}, {}, "static: expected above the kinetic friction of every block .* got 1 at block 0"),
-        ({"belt_speed": [-0.1, -0.2]}, {}, "belt_speed: expected one constant number, all that load='adiabatic'"),
-        ({"belt_speed": 0.0}, {}, "belt_speed: expected one that loads"),
-        ({"force": Harmonic(0.1, 1.0)}, {}, "force: expected none, all that load='adiabatic'"),
-        ({}, {"modes": 0.0}, "modes: expected"),
-        ({}, {"engine": "sigmoid"}, "load: expected an engine of the exact law"),
-        ({}, {"load": "slow"}, "load: expected \"adiabatic\" or None, got 'slow'"),
-    ],
-)
+@pytest.mark.parametrize(("terms", "options", "words"), [
+    ({"static": 1.0}, {}, "static: expected above the kinetic friction of every block .* got 1 at block 0"),
+    ({"belt_speed": [-0.1, -0.2]}, {}, "belt_speed: expected one constant number, all that load='adiabatic'"),
+    ({"belt_speed": 0.0}, {}, "belt_speed: expected one that loads"),
+    ({"force": Harmonic(0.1, 1.0)}, {}, "force: expected none, all that load='adiabatic'"),
+    ({}, {"modes": 0.0}, "modes: expected"),
+    ({}, {"engine": "sigmoid"}, "load: expected an engine of the exact law"),
+    ({}, {"load": "slow"}, "load: expected \"adiabatic\" or None, got 'slow'"),
+])  # fmt: skip
 def test_what_a_belt_that_waits_cannot_load_is_refused_by_name(terms, options, words):
     system = System(np.eye(2), **{"damping": 0.1, "friction": 1.0, "static": 1.3, "belt_speed": -0.1} | terms)
     if "modes" in options:

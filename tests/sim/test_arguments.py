@@ -69,19 +69,16 @@ def test_round_numbers_stay_short():
 ABOVE = float(np.nextafter(0.3, 1.0))
 
 
-@pytest.mark.parametrize(
-    ("refused", "words"),
-    [
-        (lambda: simulate(UNIT, 0.0, 0.0, 0.3, t_eval=[0.0, ABOVE]), ["[0.0, 0.3]", f"got {ABOVE!r};"]),
-        (lambda: simulate(UNIT, 0.0, 0.0, 1.0, t_eval=[ABOVE, 0.3]), [f"got 0.3 after {ABOVE!r}; sort"]),
-        (lambda: simulate(UNIT, 0.0, 0.0, 1.0, t_eval=[np.nan]), ["[0, 1]", "got nan;"]),
-        (lambda: simulate(UNIT, 0.0, 0.0, 1.0, t_eval=[[0.5]]), ["shape (1, 1)"]),
-        (lambda: System([[1.0]], 0.1, friction=ABOVE, static=0.3), [f"got 0.3 below {ABOVE!r} "]),
-        (lambda: number("x", 0.3, ABOVE), [f"({ABOVE!r}, inf)"]),
-        (lambda: simulate(UNIT, 0.0, 0.0, 0.3).plot(span=(0.0, ABOVE)), ["[0.0, 0.3]", f"got 0.0, {ABOVE!r}"]),
-        (lambda: attractor(simulate(UNIT, 0.0, 0.0, 0.3), UNIT, ABOVE), ["[0.0, 0.3]", f"got {ABOVE!r}"]),
-    ],
-)
+@pytest.mark.parametrize(("refused", "words"), [
+    (lambda: simulate(UNIT, 0.0, 0.0, 0.3, t_eval=[0.0, ABOVE]), ["[0.0, 0.3]", f"got {ABOVE!r};"]),
+    (lambda: simulate(UNIT, 0.0, 0.0, 1.0, t_eval=[ABOVE, 0.3]), [f"got 0.3 after {ABOVE!r}; sort"]),
+    (lambda: simulate(UNIT, 0.0, 0.0, 1.0, t_eval=[np.nan]), ["[0, 1]", "got nan;"]),
+    (lambda: simulate(UNIT, 0.0, 0.0, 1.0, t_eval=[[0.5]]), ["shape (1, 1)"]),
+    (lambda: System([[1.0]], 0.1, friction=ABOVE, static=0.3), [f"got 0.3 below {ABOVE!r} "]),
+    (lambda: number("x", 0.3, ABOVE), [f"({ABOVE!r}, inf)"]),
+    (lambda: simulate(UNIT, 0.0, 0.0, 0.3).plot(span=(0.0, ABOVE)), ["[0.0, 0.3]", f"got 0.0, {ABOVE!r}"]),
+    (lambda: attractor(simulate(UNIT, 0.0, 0.0, 0.3), UNIT, ABOVE), ["[0.0, 0.3]", f"got {ABOVE!r}"]),
+])  # fmt: skip
 def test_messages_show_where_numbers_differ(refused, words):
     with pytest.raises(ValueError, match=":") as error:
         refused()

@@ -133,16 +133,13 @@ BLOCK = System([[1.0]], 0.5)
 AWAY = System([[-1.0]], 0.0)
 
 
-@pytest.mark.parametrize(
-    ("system", "z", "w", "t_end", "given", "words"),
-    [
-        (BLOCK, 0.0, -0.2, 40.0, (0.1, {}), "run: expected that of this start and these settings"),
-        (BLOCK, 0.0, -0.2, 1.0, (0.1, {}), "run: expected that of this start and these settings"),  # without events
-        (BLOCK, 0.0, -0.2, 40.0, (0.0, {"engine": "moreau"}), "engine: expected one of the exact law, got 'moreau'"),
-        (BLOCK, 0.0, -0.2, 40.0, (0.0, {"engine": "exact"}), "engine: expected one of the exact law, got 'exact'"),
-        (AWAY, 9.0, 0.0, 40.0, (9.0, {}), "run: expected one that does not diverge"),
-    ],
-)
+@pytest.mark.parametrize(("system", "z", "w", "t_end", "given", "words"), [
+    (BLOCK, 0.0, -0.2, 40.0, (0.1, {}), "run: expected that of this start and these settings"),
+    (BLOCK, 0.0, -0.2, 1.0, (0.1, {}), "run: expected that of this start and these settings"),  # without events
+    (BLOCK, 0.0, -0.2, 40.0, (0.0, {"engine": "moreau"}), "engine: expected one of the exact law, got 'moreau'"),
+    (BLOCK, 0.0, -0.2, 40.0, (0.0, {"engine": "exact"}), "engine: expected one of the exact law, got 'exact'"),
+    (AWAY, 9.0, 0.0, 40.0, (9.0, {}), "run: expected one that does not diverge"),
+])  # fmt: skip
 def test_what_has_no_exact_energy_is_refused(system, z, w, t_end, given, words):
     with pytest.raises(ValueError, match=words):
         energy(system, simulate(system, z, w, t_end), given[0], w, **given[1])

@@ -21,15 +21,12 @@ FOUND = {
     "a force draws back": (Case.of([[1.0]], 1, 1, -0.2, -1, -0.1, push=-1.5), 40.0, TOL),
     "a force moves the rest": (Case.of([[1.0]], 1, 1, -0.2, -1, -0.1, push=0.3), 40.0, TOL),
     "a smoothed rest": (Case.of([[1.0]], 1, 1, -0.2, -1, -0.1, push=0.3), 40.0, SMOOTH),
-    "a threshold beyond the collapse": (
-        Case.of([[1.0]], 3, 1, -0.2, 3, 1),
-        40.0,
-        {"eps": 0.01, "rtol": 1e-6, "atol": 1e-6, "thresholds": [0.5, 1.9]},
-    ),
+    "a threshold beyond the collapse": (Case.of([[1.0]], 3, 1, -0.2, 3, 1), 40.0,
+        {"eps": 0.01, "rtol": 1e-6, "atol": 1e-6, "thresholds": [0.5, 1.9]}),
     # F jumps beyond friction: a step as long as the last from stick, carried through the layer, did not see it
     "a belt that pulls away": (PULLED, 2.0, {"eps": 3e-4, "rtol": 1e-6, "atol": 1e-6}),
     "a belt that pulls away, looser": (PULLED, 2.0, {"eps": 1e-3, "rtol": 1e-5, "atol": 1e-5}),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", FOUND)

@@ -64,20 +64,17 @@ def shifted(run: Run) -> Run:
     return replace(run, by_threshold={1.0: late})
 
 
-@pytest.mark.parametrize(
-    ("trial", "change", "words"),
-    [
-        (EXACT, lambda run: replace(run, z=run.z + 1e-6), "error"),
-        (EXACT, lambda run: replace(run, w=run.w * np.nan), "error inf"),
-        (EXACT, lambda run: replace(run, samples=samples(run, 1 + 1e-5)), "error"),
-        (EXACT, without_one, "series of block"),
-        (EXACT, with_a_graze, "two events at one time"),
-        (EXACT, lambda run: replace(run, t_end=float(np.nextafter(run.t_end, 0))), "at t = 5.99"),
-        (EXACT, lambda run: replace(run, outcome="diverged", t_end=3.0, z=1e3 + run.z), "which it does not"),
-        (SMOOTH, lambda run: replace(run, z=run.z + 1e-2), "error"),
-        (SMOOTH, shifted, "threshold 1"),
-    ],
-)
+@pytest.mark.parametrize(("trial", "change", "words"), [
+    (EXACT, lambda run: replace(run, z=run.z + 1e-6), "error"),
+    (EXACT, lambda run: replace(run, w=run.w * np.nan), "error inf"),
+    (EXACT, lambda run: replace(run, samples=samples(run, 1 + 1e-5)), "error"),
+    (EXACT, without_one, "series of block"),
+    (EXACT, with_a_graze, "two events at one time"),
+    (EXACT, lambda run: replace(run, t_end=float(np.nextafter(run.t_end, 0))), "at t = 5.99"),
+    (EXACT, lambda run: replace(run, outcome="diverged", t_end=3.0, z=1e3 + run.z), "which it does not"),
+    (SMOOTH, lambda run: replace(run, z=run.z + 1e-2), "error"),
+    (SMOOTH, shifted, "threshold 1"),
+])  # fmt: skip
 def test_a_wrong_engine_is_caught(trial, change, words):
     assert any(words in failure for failure in judge(trial, changed(change)).failures)
 
@@ -142,20 +139,17 @@ def replaced(k: int, t: float) -> Stretches:
     return [*LINE[:k], (t, *LINE[k][1:]), *LINE[k + 1 :]]
 
 
-@pytest.mark.parametrize(
-    ("seen", "changed", "kind"),
-    [
-        (LINE, [LINE], "same"),
-        (replaced(1, 2.0 + 1e-7), [LINE], "differs"),
-        (replaced(1, 2.0 + 1e-7), [replaced(1, 2.0 - 1e-7)], "same"),
-        (replaced(2, 5.0 + 1e-7), [LINE], "same"),  # an error moves it further
-        ([*LINE, (7.0, 0, 1.0), (7.00001, -1, 1.0)], [LINE], "graze"),
-        ([*LINE, (7.0, 0, 1.0), (7.1, -1, 1.0)], [LINE], "differs"),
-        (LINE[:2], [LINE], "differs"),
-        (LINE[:2], [LINE[:2]], "undecided"),  # a change of what the tolerance allows takes the exit away
-        (LINE[:1], [LINE[:2]], "differs"),  # but not the entry
-    ],
-)
+@pytest.mark.parametrize(("seen", "changed", "kind"), [
+    (LINE, [LINE], "same"),
+    (replaced(1, 2.0 + 1e-7), [LINE], "differs"),
+    (replaced(1, 2.0 + 1e-7), [replaced(1, 2.0 - 1e-7)], "same"),
+    (replaced(2, 5.0 + 1e-7), [LINE], "same"),  # an error moves it further
+    ([*LINE, (7.0, 0, 1.0), (7.00001, -1, 1.0)], [LINE], "graze"),
+    ([*LINE, (7.0, 0, 1.0), (7.1, -1, 1.0)], [LINE], "differs"),
+    (LINE[:2], [LINE], "differs"),
+    (LINE[:2], [LINE[:2]], "undecided"),  # a change of what the tolerance allows takes the exit away
+    (LINE[:1], [LINE[:2]], "differs"),  # but not the entry
+])  # fmt: skip
 def test_series_are_compared_as_far_as_they_are_certain(seen, changed, kind):
     assert compare(seen, LINE, changed, error=1e-8, shortest=1e-4, t_end=10.0)[0] == kind
 

@@ -100,17 +100,14 @@ def test_the_scales_of_a_system_and_of_its_parts():
     assert kinetic.static is kinetic.friction
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"friction": 0.0}, "friction: expected a mean friction above 0, by which to scale, got 0; pass scales="),
-        ({"stiffness": [[0.0]]}, "stiffness: expected a mean diagonal entry above 0"),
-        ({"normal": -1.0}, "normal: expected normal >= 0, got -1 for block 0"),
-        ({"mass": 0.0}, "mass: expected m > 0"),
-        ({"normal": [1.0, 2.0]}, r"normal: expected a number or an array of shape \(1,\)"),
-        ({"static": 0.1}, "static: expected at least the kinetic friction"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"friction": 0.0}, "friction: expected a mean friction above 0, by which to scale, got 0; pass scales="),
+    ({"stiffness": [[0.0]]}, "stiffness: expected a mean diagonal entry above 0"),
+    ({"normal": -1.0}, "normal: expected normal >= 0, got -1 for block 0"),
+    ({"mass": 0.0}, "mass: expected m > 0"),
+    ({"normal": [1.0, 2.0]}, r"normal: expected a number or an array of shape \(1,\)"),
+    ({"static": 0.1}, "static: expected at least the kinetic friction"),
+])  # fmt: skip
 def test_what_cannot_be_scaled_is_refused(changes, words):
     given = {"stiffness": [[1.0]], "damping": 0.0, "friction": 0.5, "belt_speed": 0.1, "mass": 1.0} | changes
     with pytest.raises(ValueError, match=words):

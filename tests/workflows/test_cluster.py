@@ -91,18 +91,15 @@ def test_workers_leave_before_their_job_ends_and_not_at_once(time, seconds):
     assert seconds / 2 <= lifetime - stagger < lifetime + stagger <= seconds - min(300, seconds // 4)
 
 
-@pytest.mark.parametrize(
-    ("job", "expected"),
-    [
-        ("time=0", "time: expected a limit such as 120, in minutes"),
-        ("time=UNLIMITED", "time: expected a limit"),
-        ("mem=much", "mem, mem-per-cpu: expected a size such as 2G, got 'much'"),
-        ("cpus-per-task=0", "cpus-per-task: expected the number of processes of a job, got '0'"),
-        ("partition=", "expected a long option of sbatch, such as partition=long, got 'partition='"),
-        ("-p", "expected a long option of sbatch"),
-        ("comment=a\n#SBATCH --uid=0", "expected a long option of sbatch"),
-    ],
-)
+@pytest.mark.parametrize(("job", "expected"), [
+    ("time=0", "time: expected a limit such as 120, in minutes"),
+    ("time=UNLIMITED", "time: expected a limit"),
+    ("mem=much", "mem, mem-per-cpu: expected a size such as 2G, got 'much'"),
+    ("cpus-per-task=0", "cpus-per-task: expected the number of processes of a job, got '0'"),
+    ("partition=", "expected a long option of sbatch, such as partition=long, got 'partition='"),
+    ("-p", "expected a long option of sbatch"),
+    ("comment=a\n#SBATCH --uid=0", "expected a long option of sbatch"),
+])  # fmt: skip
 def test_options_that_cannot_be_read_are_refused(job, expected, scene_file, tmp_path, capsys):
     run = ["run", str(scene_file), "--out", str(tmp_path / "out")]
     assert main([*run, "--slurm", "4", f"--job={job}"]) == 2

@@ -684,17 +684,14 @@ def test_a_comparison_never_takes_the_place_of_a_dataset(dataset, capsys):
     assert "holds an ensemble" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("command", "n_opened"),
-    [
-        ("report .", 1),
-        ("report . --compare ../other", 2),
-        ("status .", 1),
-        ("verify .", 1),
-        ("query . 'SELECT count(*) FROM members'", 1),
-        ("export . --netcdf ../one.nc", 1),
-    ],
-)
+@pytest.mark.parametrize(("command", "n_opened"), [
+    ("report .", 1),
+    ("report . --compare ../other", 2),
+    ("status .", 1),
+    ("verify .", 1),
+    ("query . 'SELECT count(*) FROM members'", 1),
+    ("export . --netcdf ../one.nc", 1),
+])  # fmt: skip
 def test_a_command_opens_each_dataset_once_and_parses_its_scene_once(
     command, n_opened, dataset, tmp_path, monkeypatch, capsys
 ):

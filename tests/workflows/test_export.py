@@ -185,20 +185,17 @@ OUT = "runsa\x01ba\x1b[31mb"
 NAMES = ("<b>&--a", "a$x_$b", "$a")
 
 
-@pytest.mark.parametrize(
-    "argv",
-    [
-        ["run", "{0}.toml", "--dry-run"],
-        ["run", "none{0}.toml"],
-        ["run", "{0}.toml", "--only", "{0}"],
-        ["status", "{0}"],
-        ["verify", "{0}"],
-        ["plot", "{0}", "m", "--out", "a.svg"],
-        ["init", "{0}/{0}"],
-        ["init", "{0}.toml"],
-        ["{0}"],
-    ],
-)
+@pytest.mark.parametrize("argv", [
+    ["run", "{0}.toml", "--dry-run"],
+    ["run", "none{0}.toml"],
+    ["run", "{0}.toml", "--only", "{0}"],
+    ["status", "{0}"],
+    ["verify", "{0}"],
+    ["plot", "{0}", "m", "--out", "a.svg"],
+    ["init", "{0}/{0}"],
+    ["init", "{0}.toml"],
+    ["{0}"],
+])  # fmt: skip
 def test_no_message_obeys_a_name(argv, small_scene, tmp_path, monkeypatch, capsys):
     """Whatever prints it: a command, what reads options, or the log."""
     monkeypatch.chdir(tmp_path)

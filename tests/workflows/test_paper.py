@@ -309,17 +309,14 @@ def test_fates_are_counted_with_wilsons_interval(judged, measured):
     assert rest["many_keep_on"]["beyond"]["found"] == 1
 
 
-@pytest.mark.parametrize(
-    ("fates", "verdict"),
-    [
-        (("sustained",) * 3, "cannot be told"),
-        (("sustained", "collapsed", "sustained"), "cannot be told"),  # 6 to 79%: it may be most
-        (("sustained",) * 9 + ("collapsed",), "reproduced"),
-        (("sustained",) * 9 + ("lull",), "cannot be told"),  # a lull is not an end
-        (("sustained",) * 5 + ("quiet",) * 5, "cannot be told"),
-        (("sustained", "diverged", "sustained"), "corrected"),
-    ],
-)
+@pytest.mark.parametrize(("fates", "verdict"), [
+    (("sustained",) * 3, "cannot be told"),
+    (("sustained", "collapsed", "sustained"), "cannot be told"),  # 6 to 79%: it may be most
+    (("sustained",) * 9 + ("collapsed",), "reproduced"),
+    (("sustained",) * 9 + ("lull",), "cannot be told"),  # a lull is not an end
+    (("sustained",) * 5 + ("quiet",) * 5, "cannot be told"),
+    (("sustained", "diverged", "sustained"), "corrected"),
+])  # fmt: skip
 def test_a_run_away_is_no_collapse(fates, verdict, judged, measured):
     rows = [row("long", fate, matrix=k) for k, fate in enumerate(fates)]
     found = judged(runs=[*others(measured, "long", "details"), *rows, row("long", n=5), row("long", n=25)])[

@@ -38,25 +38,22 @@ def test_what_ships_is_as_the_schema_says(name):
     assert problems(schema, tomllib.loads(find(name).read_text())) == []
 
 
-@pytest.mark.parametrize(
-    "mistake",
-    [
-        "unknown key",
-        "unknown table",
-        "key of the other engine",
-        "missing table",
-        "missing key",
-        "text for a number",
-        "number for a count",
-        "negative n",
-        "huge n",
-        "empty n",
-        "negative step",
-        "huge seed",
-        "unknown coupling",
-        "unknown engine",
-    ],
-)
+@pytest.mark.parametrize("mistake", [
+    "unknown key",
+    "unknown table",
+    "key of the other engine",
+    "missing table",
+    "missing key",
+    "text for a number",
+    "number for a count",
+    "negative n",
+    "huge n",
+    "empty n",
+    "negative step",
+    "huge seed",
+    "unknown coupling",
+    "unknown engine",
+])  # fmt: skip
 def test_the_schema_sees(mistake):
     """Before the command does."""
     old, new, _ = BAD[mistake]

@@ -59,18 +59,15 @@ ASKED = Cell(axis="layer", stiffness=10.0, method="planted", tolerance=1e-4)
 STEP = replace(ASKED, tolerance=None, step=0.1)
 
 
-@pytest.mark.parametrize(
-    ("cell", "error", "outcome"),
-    [
-        (ASKED, 1e-12, "right"),
-        (ASKED, 9e-4, "right"),  # 10 times the tolerance
-        (ASKED, 2e-3, "rough"),
-        (ASKED, 2e-2, "wrong"),
-        (STEP, 9e-4, "right"),  # up to 1e-3
-        (STEP, 2e-3, "rough"),
-        (STEP, 2e-2, "wrong"),
-    ],
-)
+@pytest.mark.parametrize(("cell", "error", "outcome"), [
+    (ASKED, 1e-12, "right"),
+    (ASKED, 9e-4, "right"),  # 10 times the tolerance
+    (ASKED, 2e-3, "rough"),
+    (ASKED, 2e-2, "wrong"),
+    (STEP, 9e-4, "right"),  # up to 1e-3
+    (STEP, 2e-3, "rough"),
+    (STEP, 2e-2, "wrong"),
+])  # fmt: skip
 def test_the_rule_on_a_planted_error(cell, error, outcome):
     assert judged(replace(cell, error=error), 1e-12).outcome == outcome
 
