@@ -154,49 +154,38 @@ SHIPPED = {
 }
 
 #: By name. What a name says is what its data have beside what all have.
-PLANS: dict[str, Plan] = {name: Plan((shrunk(name, **changes),)) for name, changes in SHIPPED.items()} | {
+_PLANS: dict[str, str | Plan] = {name: shrunk(name, **changes) for name, changes in SHIPPED.items()} | {
     # what is swept
-    "ratios_of_friction": Plan(
-        (scene(f"{CHAIN}\nfriction = [0.8, 1.0]\nstatic = [{{ratio = 1.2}}, {{ratio = 1.5}}]"),)
-    ),
-    "ratios_alike": Plan((scene(f"{CHAIN}\nfriction = [0.5, 1.0]\nstatic = [{{ratio = 1.5}}, {{ratio = 3.0}}]"),)),
-    "ratios_drawn": Plan((scene(f"{CHAIN}\nstatic = [{{ratio = 1.3}}, {{ratio = {{uniform = [1.1, 1.4]}}}}]"),)),
-    "grid": Plan((scene(GRID),)),
+    "ratios_of_friction": scene(f"{CHAIN}\nfriction = [0.8, 1.0]\nstatic = [{{ratio = 1.2}}, {{ratio = 1.5}}]"),
+    "ratios_alike": scene(f"{CHAIN}\nfriction = [0.5, 1.0]\nstatic = [{{ratio = 1.5}}, {{ratio = 3.0}}]"),
+    "ratios_drawn": scene(f"{CHAIN}\nstatic = [{{ratio = 1.3}}, {{ratio = {{uniform = [1.1, 1.4]}}}}]"),
+    "grid": scene(GRID),
     "grid_half_done": Plan((scene(GRID, run="matrices = 6"),), n_shards=4),
     "grid_begun": Plan((scene(GRID),), n_shards=1),
     "grid_diagonal": Plan((scene(GRID, run='zip = [["friction", "belt_speed"]]'), scene(GRID)), n_shards=0),
     "grid_grown": Plan(
         (scene(f"{HELD}\nfriction = [0.8]", run="matrices = 2"), scene(f"{HELD}\nfriction = [0.8, 1.0]"))
     ),
-    "zipped": Plan((scene(f"{HELD}\nfriction = [0.5, 1.0]\nleaf = [0.1, 0.2]", run='zip = [["friction", "leaf"]]'),)),
-    "three_keys": Plan((scene(f"{HELD}\nmass = [0.5, 1.0]\nleaf = [0.1, 0.3]", start='z = [0.1, 0.4]\nw = "belt"'),)),
-    "distributions": Plan((scene(f"{HELD}\nfriction = [1.0, {{uniform = [0.9, 1.1]}}, {{uniform = [0.8, 1.2]}}]"),)),
-    "courses": Plan(
-        (scene(f"{HELD}\nbelt_speed = {{times = [0.0, 50.0], values = [-0.1, -0.2]}}\nleaf = [0.1, 0.2]"),)
+    "zipped": scene(f"{HELD}\nfriction = [0.5, 1.0]\nleaf = [0.1, 0.2]", run='zip = [["friction", "leaf"]]'),
+    "three_keys": scene(f"{HELD}\nmass = [0.5, 1.0]\nleaf = [0.1, 0.3]", start='z = [0.1, 0.4]\nw = "belt"'),
+    "distributions": scene(f"{HELD}\nfriction = [1.0, {{uniform = [0.9, 1.1]}}, {{uniform = [0.8, 1.2]}}]"),
+    "courses": scene(f"{HELD}\nbelt_speed = {{times = [0.0, 50.0], values = [-0.1, -0.2]}}\nleaf = [0.1, 0.2]"),
+    "forces": scene(
+        f"{HELD}\nforce = {{amplitude = [0.1, 0.4], frequency = [0.5, 1.0]}}", "[record]\nwaiting = true"
     ),
-    "forces": Plan(
-        (scene(f"{HELD}\nforce = {{amplitude = [0.1, 0.4], frequency = [0.5, 1.0]}}", "[record]\nwaiting = true"),)
-    ),
-    "weakening": Plan((scene(f'{HELD}\nweakening = {{law = "rational", rate = [1.0, 4.0]}}', EPISODES, run=MANY),)),
-    "networks": Plan((scene('coupling = "network"\nn = 12\ndegree = [2.0, 4.0]\nstatic = 1.2\ndamping = 0.1'),)),
-    "sizes": Plan((crowd("[record]\ncollapse = true", system='coupling = "antisymmetric"\nn = [10, 40, 120]'),)),
-    "swept_crowds": Plan((crowd("[record]\nevents = true", system=SWEPT),)),
+    "weakening": scene(f'{HELD}\nweakening = {{law = "rational", rate = [1.0, 4.0]}}', EPISODES, run=MANY),
+    "networks": scene('coupling = "network"\nn = 12\ndegree = [2.0, 4.0]\nstatic = 1.2\ndamping = 0.1'),
+    "sizes": crowd("[record]\ncollapse = true", system='coupling = "antisymmetric"\nn = [10, 40, 120]'),
+    "swept_crowds": crowd("[record]\nevents = true", system=SWEPT),
     # what is drawn, and what is independent
-    "run_of_blocks": Plan((crowd("[record]\nevents = true", run="matrices = 1"),)),
-    "run_of_a_block": Plan((scene(BLOCK, run="matrices = 1", start='z = 0.3\nw = "belt"'),)),
-    "starts": Plan((scene(HELD, start='z = {uniform = [-0.5, 0.5]}\nw = "belt"\ndraws = 12', run="matrices = 1"),)),
-    "starts_of_systems": Plan((crowd(start="z = {normal = [0.0, 0.5]}\nw = {uniform = [-0.4, 0.0]}\ndraws = 2"),)),
-    "starts_of_a_block": Plan(
-        (
-            scene(
-                BLOCK,
-                "[record]\nattractor = true",
-                start="z = {uniform = [-2, 2]}\nw = 0.0\ndraws = 12",
-                run="matrices = 1",
-            ),
-        )
+    "run_of_blocks": crowd("[record]\nevents = true", run="matrices = 1"),
+    "run_of_a_block": scene(BLOCK, run="matrices = 1", start='z = 0.3\nw = "belt"'),
+    "starts": scene(HELD, start='z = {uniform = [-0.5, 0.5]}\nw = "belt"\ndraws = 12', run="matrices = 1"),
+    "starts_of_systems": crowd(start="z = {normal = [0.0, 0.5]}\nw = {uniform = [-0.4, 0.0]}\ndraws = 2"),
+    "starts_of_a_block": scene(
+        BLOCK, "[record]\nattractor = true", start="z = {uniform = [-2, 2]}\nw = 0.0\ndraws = 12", run="matrices = 1"
     ),
-    "seeds": Plan((crowd(system=SWEPT, run="seed = [3, 4]\nmatrices = 3"),)),
+    "seeds": crowd(system=SWEPT, run="seed = [3, 4]\nmatrices = 3"),
     "files": Plan(
         (
             scene(
@@ -219,51 +208,35 @@ PLANS: dict[str, Plan] = {name: Plan((shrunk(name, **changes),)) for name, chang
         ),
         MINE,
     ),
-    "escapes": Plan((crowd(system=CROWD.replace("kappa = 0.2", "kappa = [0.2, 2.0]")),)),
-    "settled": Plan((scene(HELD, "[record]\nend = true"),)),
-    "from_ends": Plan((scene(f"{HELD}\nbelt_speed = [-0.1, -0.2]", start='dataset = "../settled/settled"'),)),
+    "escapes": crowd(system=CROWD.replace("kappa = 0.2", "kappa = [0.2, 2.0]")),
+    "settled": scene(HELD, "[record]\nend = true"),
+    "from_ends": scene(f"{HELD}\nbelt_speed = [-0.1, -0.2]", start='dataset = "../settled/settled"'),
     # copies of a system
-    "changes": Plan((crowd('[perturbation]\nreadings = ["scale", "relative"]\nsizes = [0.01, 0.05]\ndraws = 2'),)),
-    "changes_of_a_sweep": Plan((crowd("[perturbation]\nsizes = [0.05]", system=SWEPT),)),
-    "twins": Plan((crowd("[twins]\nsizes = [1e-8, 1e-3]", "[record]\nseparation = 0.5", engines=(EXACT, SMOOTH)),)),
-    "stiffness_ratios": Plan((crowd(engines=(EXACT, f'{SMOOTH}\nratio = "uniform"\nratio_draws = 2', SMOOTH)),)),
-    "thresholds": Plan((crowd(engines=(EXACT, f"{SMOOTH}\nthresholds = [0.5, 1.0, 2.0]")),)),
+    "changes": crowd('[perturbation]\nreadings = ["scale", "relative"]\nsizes = [0.01, 0.05]\ndraws = 2'),
+    "changes_of_a_sweep": crowd("[perturbation]\nsizes = [0.05]", system=SWEPT),
+    "twins": crowd("[twins]\nsizes = [1e-8, 1e-3]", "[record]\nseparation = 0.5", engines=(EXACT, SMOOTH)),
+    "stiffness_ratios": crowd(engines=(EXACT, f'{SMOOTH}\nratio = "uniform"\nratio_draws = 2', SMOOTH)),
+    "thresholds": crowd(engines=(EXACT, f"{SMOOTH}\nthresholds = [0.5, 1.0, 2.0]")),
     # engines
-    "engines": Plan((crowd(engines=(EXACT, LOOSE, SMOOTH, STEPS)),)),
-    "engines_of_episodes": Plan(
-        (scene(HELD, EPISODES, run=MANY, engines=(EXACT, SMOOTH, STEPS), analysis='question = "episodes"'),)
+    "engines": crowd(engines=(EXACT, LOOSE, SMOOTH, STEPS)),
+    "engines_of_episodes": scene(
+        HELD, EPISODES, run=MANY, engines=(EXACT, SMOOTH, STEPS), analysis='question = "episodes"'
     ),
-    "sigmoid_alone": Plan((crowd(engines=('name = "sigmoid"\neps = [0.03, 0.1]\nrtol = 1e-5\natol = 1e-5',)),)),
-    "steps_of_a_sweep": Plan((scene(GRID, engines=(EXACT, STEPS)),)),
+    "sigmoid_alone": crowd(engines=('name = "sigmoid"\neps = [0.03, 0.1]\nrtol = 1e-5\natol = 1e-5',)),
+    "steps_of_a_sweep": scene(GRID, engines=(EXACT, STEPS)),
     # what is recorded
-    "numbers": Plan((scene(f"{HELD}\nbelt_speed = [-0.1, -0.2]", NUMBERS),)),
-    "censored": Plan(
-        (
-            scene(
-                f"{HELD}\nbelt_speed = [-0.01, -0.02]",
-                "[record]\nfirst_exit = true",
-                run="t_end = 60.0\nmatrices = 8",
-            ),
-        )
+    "numbers": scene(f"{HELD}\nbelt_speed = [-0.1, -0.2]", NUMBERS),
+    "censored": scene(
+        f"{HELD}\nbelt_speed = [-0.01, -0.02]", "[record]\nfirst_exit = true", run="t_end = 60.0\nmatrices = 8"
     ),
-    "attractors": Plan(
-        (
-            scene(
-                f"{BLOCK}\nbelt_speed = [-0.2, -0.6, -1.2]",
-                "[record]\nattractor = true",
-                run="t_end = 300.0\nmatrices = 6",
-            ),
-        )
+    "attractors": scene(
+        f"{BLOCK}\nbelt_speed = [-0.2, -0.6, -1.2]", "[record]\nattractor = true", run="t_end = 300.0\nmatrices = 6"
     ),
-    "attractors_of_chains": Plan(
-        (
-            scene(
-                'coupling = "chain"\nn = 2\nkappa = 1.0\ndamping = 0.05\nstatic = 1.4',
-                "[record]\nattractor = true",
-                start='z = {uniform = [-1, 1]}\nw = "belt"\ndraws = 4',
-                run="t_end = 400.0\nmatrices = 3",
-            ),
-        )
+    "attractors_of_chains": scene(
+        'coupling = "chain"\nn = 2\nkappa = 1.0\ndamping = 0.05\nstatic = 1.4',
+        "[record]\nattractor = true",
+        start='z = {uniform = [-1, 1]}\nw = "belt"\ndraws = 4',
+        run="t_end = 400.0\nmatrices = 3",
     ),
     "records_of_a_function": Plan(
         (scene(f"{HELD}\nbelt_speed = [-0.05, -0.1]", '[record]\nown = "mine:quiet"'),), MINE
@@ -278,8 +251,9 @@ PLANS: dict[str, Plan] = {name: Plan((shrunk(name, **changes),)) for name, chang
         ),
         MINE,
     ),
-    "margins": Plan((crowd(engines=(EXACT, SMOOTH), analysis='question = "engines"\nconfidence = 0.9'),)),
+    "margins": crowd(engines=(EXACT, SMOOTH), analysis='question = "engines"\nconfidence = 0.9'),
 }
+PLANS = {name: plan if isinstance(plan, Plan) else Plan((plan,)) for name, plan in _PLANS.items()}
 
 #: Datasets that are set side by side.
 COMPARED = (("grid", "grid_half_done"), ("engines", "margins"), ("changes", "seeds"))
