@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union, get_args
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, WrapValidator, create_model, model_validator
 
 from stickslip.pipeline.design.values import short
-from stickslip.pipeline.scene.toml import Count, PositiveNumbers, StrictTable, as_tuple, listed, once
+from stickslip.pipeline.scene.toml import Count, PositiveNumbers, StrictTable, as_tuple, listed, once, optional
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Choice, Engine, Number, Numbers, Purpose, Ratios, Setting
 from stickslip.sim.systems.couplings import Reading
@@ -37,10 +37,8 @@ Readings = Annotated[
 class EngineTable(StrictTable):
     """A table [[engine]]: what all share; `_table` adds the settings of one engine."""
 
-    readings: Readings | None = Field(
-        default=None,
-        description="readings of [perturbation] that this engine runs; all of them if left out",
-        examples=[["scale"]],
+    readings: Readings | None = optional(
+        "readings of [perturbation] that this engine runs; all of them if left out", ["scale"]
     )
     twins: bool = Field(default=True, description="whether to run [twins] with this engine", examples=[False])
     _picked_for: Purpose | None = PrivateAttr(default=None)

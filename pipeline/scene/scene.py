@@ -62,7 +62,7 @@ from stickslip.pipeline.scene.systems import (
     tried_function,
 )
 from stickslip.pipeline.scene.tables import AnalysisTable, PerturbationTable, RecordTable, RunTable, Start, TwinsTable
-from stickslip.pipeline.scene.toml import Positive, StrictTable, as_scene, explained, plain, shown, written
+from stickslip.pipeline.scene.toml import Positive, StrictTable, as_scene, explained, optional, plain, shown, written
 from stickslip.pipeline.scene.units import UNSCALED, UnitsTable, scales_of
 from stickslip.sim.engines.adiabatic import TAKES as LOADABLE
 from stickslip.sim.engines.contract import Purpose
@@ -102,11 +102,9 @@ class Scene(StrictTable):
     title: str = Field(default="", description="one line for the report's head")
     about: str = Field(default="", description="what the scene is for")
     licence: str = Field(default="", description="licence of the data, which they carry", examples=["CC-BY-4.0"])
-    minutes: Positive | None = Field(default=None, description=MINUTES, examples=[1.0])
+    minutes: Positive | None = optional(MINUTES, 1.0)
     system: SystemTable
-    units: UnitsTable | None = Field(
-        default=None, description="the units that its numbers are in; all is dimensionless if left out"
-    )
+    units: UnitsTable | None = optional("the units that its numbers are in; all is dimensionless if left out")
     start: Start = Field(description='the state that runs start from; "rest": z = 0, and w as the belt')
     run: RunTable
     engines: Engines = Field(alias="engine", description="one or more tables [[engine]]")

@@ -46,6 +46,7 @@ from stickslip.pipeline.scene.toml import (
     as_tuple,
     distinct,
     once,
+    optional,
     shown,
 )
 from stickslip.sim.numerics.arguments import did_you_mean
@@ -124,24 +125,18 @@ class ForceTable(_with_terms("force")):  # type: ignore[misc]
     """[system.force]: a force from outside on every block: amplitude cos(frequency t + phase), or by times."""
 
     model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": [*form]} for form in _FORCES]})
-    times: Annotated[tuple[float, ...], List] | None = Field(
-        default=None,
-        description="times between which the force is linear; it is constant before and after",
-        examples=[[0.0, 100.0]],
+    times: Annotated[tuple[float, ...], List] | None = optional(
+        "times between which the force is linear; it is constant before and after", [0.0, 100.0]
     )
-    values: Annotated[tuple[float, ...], List] | None = Field(
-        default=None, description="the force on every block at these times", examples=[[0.0, 0.5]]
+    values: Annotated[tuple[float, ...], List] | None = optional(
+        "the force on every block at these times", [0.0, 0.5]
     )
-    table: str | None = Field(
-        default=None, description="file beside the scene with two columns, times and values", examples=["force.csv"]
+    table: str | None = optional("file beside the scene with two columns, times and values", "force.csv")
+    columns: Annotated[tuple[str | int, ...], List] | None = optional(
+        "which columns, by their headings or by number from 0, or which arrays of the file", ["t", "force"]
     )
-    columns: Annotated[tuple[str | int, ...], List] | None = Field(
-        default=None,
-        description="which columns, by their headings or by number from 0, or which arrays of the file",
-        examples=[["t", "force"]],
-    )
-    series: Annotated[dict[str, Any] | None, WithJsonSchema({"type": "object"})] = Field(
-        default=None, description="what the table was when the scene was read: written by stickslip"
+    series: Annotated[dict[str, Any] | None, WithJsonSchema({"type": "object"})] = optional(
+        "what the table was when the scene was read: written by stickslip"
     )
     blocks: (
         Annotated[
@@ -151,11 +146,7 @@ class ForceTable(_with_terms("force")):  # type: ignore[misc]
             AfterValidator(once),
         ]
         | None
-    ) = Field(
-        default=None,
-        description="the blocks it acts on, by name, or by number from 0; all if left out",
-        examples=[[0]],
-    )
+    ) = optional("the blocks it acts on, by name, or by number from 0; all if left out", [0])
 
     @model_validator(mode="before")
     @classmethod
@@ -215,20 +206,17 @@ else:
 
 
 class _Law(StrictTable):
-    law: Literal[*LAWS] | None = Field(  # type: ignore[valid-type]
-        default=None, description=", or ".join(law.formula for law in LAWS.values()), examples=["rational"]
-    )
-    table: str | None = Field(
-        default=None,
-        description="in the place of `law`: file beside the scene with two columns, speeds of slip and coefficients"
+    law: Literal[*LAWS] | None = optional(", or ".join(law.formula for law in LAWS.values()), "rational")  # type: ignore[valid-type]
+    table: str | None = optional(
+        "in the place of `law`: file beside the scene with two columns, speeds of slip and coefficients"
         " by which friction is multiplied",
-        examples=["friction.csv"],
+        "friction.csv",
     )
-    speeds: Annotated[tuple[float, ...], List] | None = Field(
-        default=None, description="the speeds of the table themselves, from 0", examples=[[0.0, 0.1, 0.5, 2.0]]
+    speeds: Annotated[tuple[float, ...], List] | None = optional(
+        "the speeds of the table themselves, from 0", [0.0, 0.1, 0.5, 2.0]
     )
-    coefficients: Annotated[tuple[float, ...], List] | None = Field(
-        default=None, description="the coefficients at these speeds", examples=[[0.6, 0.4, 0.35, 0.4]]
+    coefficients: Annotated[tuple[float, ...], List] | None = optional(
+        "the coefficients at these speeds", [0.6, 0.4, 0.35, 0.4]
     )
 
 
@@ -370,51 +358,42 @@ class _Source(StrictTable):
         description="number of blocks, or a list of numbers; with files of K that of these, and may be left out",
         examples=[200],
     )
-    path: Annotated[str | dict[Literal[*_ARRAYS], str], BeforeValidator(_path)] | None = Field(  # type: ignore[valid-type]
-        default=None,
-        description="file of K, .npz, .npy, Matrix Market, .mat or CSV, or of a graph, beside the scene; or several,"
+    path: Annotated[str | dict[Literal[*_ARRAYS], str], BeforeValidator(_path)] | None = optional(  # type: ignore[valid-type]
+        "file of K, .npz, .npy, Matrix Market, .mat or CSV, or of a graph, beside the scene; or several,"
         " by a pattern; or a table with the file of each array",
-        examples=["K.npz"],
+        "K.npz",
     )
 
 
 class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
     """[system]: what the systems are drawn from."""
 
-    force: Forces | None = Field(
-        default=None, description="an external force, or a list of forces that act together; see [system.force]"
-    )
-    rayleigh: Annotated[RayleighTable | None, BeforeValidator(_pair)] = Field(
-        default=None, description="[a, b] of the damping matrix C = a M + b K, in the place of `rho`"
+    force: Forces | None = optional("an external force, or a list of forces that act together; see [system.force]")
+    rayleigh: Annotated[RayleighTable | None, BeforeValidator(_pair)] = optional(
+        "[a, b] of the damping matrix C = a M + b K, in the place of `rho`"
     )
     weakening: WeakeningTable | None = None
-    drive: DriveTable | None = Field(
-        default=None, description="a drive that draws a block along through a spring; see [system.drive]"
-    )
-    contacts: Annotated[tuple[Annotated[int, Field(ge=0)] | str, ...], BeforeValidator(_contacts)] | None = Field(
-        default=None,
-        description="the blocks that have friction, by name, or by number from 0; all if left out",
-        examples=[["bit"]],
+    drive: DriveTable | None = optional("a drive that draws a block along through a spring; see [system.drive]")
+    contacts: Annotated[tuple[Annotated[int, Field(ge=0)] | str, ...], BeforeValidator(_contacts)] | None = optional(
+        "the blocks that have friction, by name, or by number from 0; all if left out", ["bit"]
     )
     back_slip: bool = Field(
         default=True,
         description="whether blocks may slip either way; if not, none gets ahead of its belt",
         examples=[False],
     )
-    names: Annotated[tuple[str, ...], List] | None = Field(
-        default=None,
-        description="a name for each block, by which keys, records and figures call it; or those of the file or the"
-        " function",
-        examples=[["table", "pipe", "bit"]],
+    names: Annotated[tuple[str, ...], List] | None = optional(
+        "a name for each block, by which keys, records and figures call it; or those of the file or the function",
+        ["table", "pipe", "bit"],
     )
-    parameters: dict[str, AnyNumber] | None = Field(
-        default=None, description="what the function is given beside n and rng, by name", examples=[{"gap": 0.5}]
+    parameters: dict[str, AnyNumber] | None = optional(
+        "what the function is given beside n and rng, by name", {"gap": 0.5}
     )
-    module: Annotated[ModuleTable | None, WithJsonSchema({"type": "object"})] = Field(
-        default=None, description="what the module was when the scene was read: written by stickslip"
+    module: Annotated[ModuleTable | None, WithJsonSchema({"type": "object"})] = optional(
+        "what the module was when the scene was read: written by stickslip"
     )
-    files: Annotated[dict[str, FileTable] | None, WithJsonSchema({"type": "object"})] = Field(
-        default=None, description="what the files were when the scene was read: written by stickslip"
+    files: Annotated[dict[str, FileTable] | None, WithJsonSchema({"type": "object"})] = optional(
+        "what the files were when the scene was read: written by stickslip"
     )
 
     @model_validator(mode="before")

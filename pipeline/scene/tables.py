@@ -35,6 +35,7 @@ from stickslip.pipeline.scene.toml import (
     as_tuple,
     listed,
     once,
+    optional,
 )
 from stickslip.sim.engines.contract import Purpose
 
@@ -76,18 +77,14 @@ class StartTable(StrictTable):
     w: Velocity = Field(
         description='velocity at t = 0; "belt": that of the belt, 0 of a block without friction', examples=[-0.4]
     )
-    draws: Count | None = Field(
-        default=None,
-        description="number of starts drawn for each system, where z or w is a distribution; 1 if left out",
-        examples=[300],
+    draws: Count | None = optional(
+        "number of starts drawn for each system, where z or w is a distribution; 1 if left out", 300
     )
-    dataset: str | None = Field(
-        default=None,
-        description='dataset, beside the scene, at whose ends the same members start; z and w are "end" then',
-        examples=["runs/first"],
+    dataset: str | None = optional(
+        'dataset, beside the scene, at whose ends the same members start; z and w are "end" then', "runs/first"
     )
-    ends: Annotated[EndsTable | None, WithJsonSchema({"type": "object"})] = Field(
-        default=None, description="what the dataset was when the scene was read: written by stickslip"
+    ends: Annotated[EndsTable | None, WithJsonSchema({"type": "object"})] = optional(
+        "what the dataset was when the scene was read: written by stickslip"
     )
 
     @model_validator(mode="before")
@@ -130,20 +127,14 @@ class RunTable(StrictTable):
     t_end: Positive = Field(description="end of each run", examples=[1000.0])
     matrices: Count = Field(description="number of random systems for each n", examples=[20])
     seed: Seeds = Field(default=0, description="seed of all random draws")
-    zip: Annotated[tuple[Annotated[tuple[str, ...], List], ...], List] | None = Field(
-        default=None,
-        description="keys whose lists go together, value by value, in place of a grid",
-        examples=[[["kappa", "rho"]]],
+    zip: Annotated[tuple[Annotated[tuple[str, ...], List], ...], List] | None = optional(
+        "keys whose lists go together, value by value, in place of a grid", [["kappa", "rho"]]
     )
-    load: Literal["adiabatic"] | None = Field(
-        default=None,
-        description='"adiabatic": the belt waits while a block slips, and then goes to the next instability at once',
-        examples=["adiabatic"],
+    load: Literal["adiabatic"] | None = optional(
+        '"adiabatic": the belt waits while a block slips, and then goes to the next instability at once', "adiabatic"
     )
-    purpose: Purpose | None = Field(
-        default=None,
-        description="what the tolerances left out are picked for; default: chosen from what the scene records",
-        examples=["statistics"],
+    purpose: Purpose | None = optional(
+        "what the tolerances left out are picked for; default: chosen from what the scene records", "statistics"
     )
 
 
@@ -242,16 +233,12 @@ _Records: Any = create_model("_Records", __base__=StrictTable, **_KEYS)
 class RecordTable(_Records):  # type: ignore[misc]
     """[record]: what is kept in addition to the change points of n_stick, which always are."""
 
-    t_burn: Natural | None = Field(
-        default=None,
-        description="time from which records measure that leave out the start; that of [analysis] if left out",
-        examples=[600.0],
+    t_burn: Natural | None = optional(
+        "time from which records measure that leave out the start; that of [analysis] if left out", 600.0
     )
-    dt: Positive | None = Field(
-        default=None, description="time step at which the state is sampled for records that need it", examples=[0.1]
-    )
-    functions: Annotated[dict[str, FunctionTable] | None, WithJsonSchema({"type": "object"})] = Field(
-        default=None, description="what the functions of `own` were when the scene was read: written by stickslip"
+    dt: Positive | None = optional("time step at which the state is sampled for records that need it", 0.1)
+    functions: Annotated[dict[str, FunctionTable] | None, WithJsonSchema({"type": "object"})] = optional(
+        "what the functions of `own` were when the scene was read: written by stickslip"
     )
 
     @property
@@ -300,13 +287,11 @@ class MarginsTable(_Declared):
     Shares of the original's value; without one nothing counts as equivalent.
     """
 
-    mean: Positive | None = Field(default=None, description="margin of the time mean of n_stick", examples=[0.05])
-    variance: Positive | None = Field(default=None, description="margin of its variance in time", examples=[0.25])
-    rate: Positive | None = Field(default=None, description="margin of the rate of its changes", examples=[0.05])
-    gamma: Positive | None = Field(default=None, description="margin of gamma by events", examples=[0.01])
-    correlation_time: Positive | None = Field(
-        default=None, description="margin of its correlation time", examples=[0.5]
-    )
+    mean: Positive | None = optional("margin of the time mean of n_stick", 0.05)
+    variance: Positive | None = optional("margin of its variance in time", 0.25)
+    rate: Positive | None = optional("margin of the rate of its changes", 0.05)
+    gamma: Positive | None = optional("margin of gamma by events", 0.01)
+    correlation_time: Positive | None = optional("margin of its correlation time", 0.5)
 
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -318,12 +303,12 @@ class PublishedTable(_Declared):
     The shares of a record of attractors are set beside them.
     """
 
-    rest: Share | None = Field(default=None, description="published share that comes to rest", examples=[0.1])
-    sliding: Share | None = Field(default=None, description="published share of steady sliding", examples=[0.3])
-    periodic: Share | None = Field(default=None, description="published share on a cycle", examples=[0.6])
-    torus: Share | None = Field(default=None, description="published share on a torus", examples=[0.1])
-    irregular: Share | None = Field(default=None, description="published share of chaos", examples=[0.1])
-    escaping: Share | None = Field(default=None, description="published share without limit", examples=[0.1])
+    rest: Share | None = optional("published share that comes to rest", 0.1)
+    sliding: Share | None = optional("published share of steady sliding", 0.3)
+    periodic: Share | None = optional("published share on a cycle", 0.6)
+    torus: Share | None = optional("published share on a torus", 0.1)
+    irregular: Share | None = optional("published share of chaos", 0.1)
+    escaping: Share | None = optional("published share without limit", 0.1)
 
 
 #: The name of a question, or of a function of the user's own that answers one. The pipeline does not know which there
@@ -336,17 +321,14 @@ class AnalysisTable(StrictTable):
 
     t_burn: Natural = Field(description="time before which nothing is counted", examples=[600.0])
     dt: PositiveNumbers = Field(description="sampling steps", examples=[[0.1, 1.0]])
-    map_dt: PositiveNumbers | None = Field(
-        default=None, description="sampling steps of the map of gamma; those of dt if left out", examples=[[0.1]]
-    )
+    map_dt: PositiveNumbers | None = optional("sampling steps of the map of gamma; those of dt if left out", [0.1])
     tau: PositiveNumbers = Field(
         default=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0), description="gaps of pairs of exits", examples=[[0.05]]
     )
     smallest: Count = Field(default=1, description="smallest cascade that the law is fitted to")
-    magnitude_range: Annotated[tuple[float, float] | None, WithJsonSchema(PAIR)] = Field(
-        default=None, description="range of magnitudes that b is of; found in the data if left out",
-        examples=[[-1.0, 0.5]],
-    )  # fmt: skip
+    magnitude_range: Annotated[tuple[float, float] | None, WithJsonSchema(PAIR)] = optional(
+        "range of magnitudes that b is of; found in the data if left out", [-1.0, 0.5]
+    )
     resamples: int = Field(default=200, ge=2, description="most surrogates of a member for what chance gives")
     confidence: Annotated[float, Field(ge=0.5, le=0.999999)] = Field(
         default=0.95, description="level of the intervals"

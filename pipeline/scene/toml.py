@@ -88,6 +88,11 @@ PositiveNumbers = Annotated[
 ]
 
 
+def optional(description: str, *examples: Any) -> Any:
+    """A key that may be left out: pydantic's field of what is then None."""
+    return Field(default=None, description=description, examples=[*examples] or None)
+
+
 def listed(schema: dict[str, Any]) -> WithJsonSchema:
     """The schema of a value, or of a list of values."""
     return WithJsonSchema({"anyOf": [schema, {"type": "array", "items": schema, "minItems": 1}]})

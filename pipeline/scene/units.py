@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from stickslip.pipeline.design.units import ANGLES, INERTIAS, LENGTHS, MASSES, TIMES, Units
-from stickslip.pipeline.scene.toml import Positive, StrictTable
+from stickslip.pipeline.scene.toml import Positive, StrictTable, optional
 from stickslip.sim.systems.scales import Scales
 from stickslip.sim.systems.system import System
 
@@ -30,21 +30,12 @@ class UnitsTable(StrictTable):
     """[units]: the units that all numbers of a scene are in, but for settings of engines and sizes of changes."""
 
     time: Literal[*TIMES] = Field(description="unit of time", examples=["s"])  # type: ignore[valid-type]
-    length: Literal[*LENGTHS] | None = Field(  # type: ignore[valid-type]
-        default=None, description="unit of length", examples=["m"]
-    )
-    angle: Literal[*ANGLES] | None = Field(  # type: ignore[valid-type]
-        default=None, description="unit of angle, of blocks that turn, in the place of `length`"
-    )
-    mass: Literal[*MASSES] | None = Field(  # type: ignore[valid-type]
-        default=None, description="unit of mass", examples=["kg"]
-    )
-    inertia: Literal[*INERTIAS] | None = Field(  # type: ignore[valid-type]
-        default=None, description="unit of inertia, beside `angle`"
-    )
-    scales: ScalesTable | None = Field(
-        default=None,
-        description="what one dimensionless unit of length, time and force is; written by stickslip if left out",
+    length: Literal[*LENGTHS] | None = optional("unit of length", "m")  # type: ignore[valid-type]
+    angle: Literal[*ANGLES] | None = optional("unit of angle, of blocks that turn, in the place of `length`")  # type: ignore[valid-type]
+    mass: Literal[*MASSES] | None = optional("unit of mass", "kg")  # type: ignore[valid-type]
+    inertia: Literal[*INERTIAS] | None = optional("unit of inertia, beside `angle`")  # type: ignore[valid-type]
+    scales: ScalesTable | None = optional(
+        "what one dimensionless unit of length, time and force is; written by stickslip if left out"
     )
 
     @model_validator(mode="after")
