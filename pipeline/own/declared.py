@@ -32,12 +32,8 @@ _FORM = (
 def declared(function: OwnFunction, measure: Callable[..., Any]) -> dict[str, Any]:
     """The columns of a function that measures runs, as plain values, and whether it asks for states.
 
-    Raises `SceneError` if it takes other arguments, or does not declare what it returns.
-
-    Parameters
-    ----------
-    found : callable
-        The function itself, as `use` hands it to its work.
+    `measure` is the function itself, as `use` hands it to its work. Raises `SceneError` if it takes other arguments,
+    or does not declare what it returns.
     """
     where, parameters = f"{function.key}: {function.name}", inspect.signature(measure).parameters
     is_sampled = SAMPLES in parameters

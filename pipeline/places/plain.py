@@ -36,19 +36,7 @@ _SAFELY = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY
 
 
 def check(facts: os.stat_result, path: Path, kind: int = stat.S_IFREG) -> None:
-    """Refuse what is no plain file, or no folder.
-
-    Raises `StoreError` if it is another kind.
-
-    Parameters
-    ----------
-    found : os.stat_result
-        What is there, links not followed.
-    shown : Path
-        What the error calls it.
-    kind : int
-        `stat.S_IFREG` or `stat.S_IFDIR`.
-    """
+    """`StoreError` if what is at a path, links not followed, is no plain file, or is not of another `kind`."""
     if stat.S_IFMT(facts.st_mode) != kind:
         what = _KINDS.get(stat.S_IFMT(facts.st_mode), "something else")
         raise StoreError(f"{path}: expected {_KINDS[kind]}, got {what}; remove it, or choose another directory")
@@ -151,7 +139,7 @@ def folder(
 ) -> Iterator[int]:
     """Descriptor of a folder: `root` may be reached through links as of `way`, the folders `inner` below it may not.
 
-    What has taken the place of a root that was `known` counts as none. Raises `StoreError` if an inner one is
+    What has taken the place of a root that was `expected` counts as none. Raises `StoreError` if an inner one is
     something else, or a link of another user leads to the root; `OSError` if it cannot be opened; with `is_made`,
     inner ones that are missing are created.
     """
