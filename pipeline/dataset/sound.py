@@ -150,7 +150,7 @@ class Sound:
             return ""
         if column.kind == "n_stick by":
             return self._fault_of_thresholds(column, array)
-        values = _flat(array) if column.is_list else array
+        values = pc.list_flatten(array) if column.is_list else array
         if pa.types.is_floating(values.type) and pc.all(pc.is_finite(values)).as_py() is False:
             return f"{column.name}: expected finite numbers, got others"
         lower, upper = self._range(column)
@@ -177,11 +177,11 @@ class Sound:
         return column.least, column.most
 
     def _fault_of_thresholds(self, column: Column, array: pa.Array) -> str:
-        t, level = (pc.struct_field(_flat(array), name) for name in ("t", "n_stick"))
-        finite = pc.all(pc.is_finite(_flat(t))).as_py() is not False
+        t, level = (pc.struct_field(pc.list_flatten(array), name) for name in ("t", "n_stick"))
+        finite = pc.all(pc.is_finite(pc.list_flatten(t))).as_py() is not False
         if not finite or not pc.list_value_length(t).equals(pc.list_value_length(level)):
             return f"{column.name}: expected times and values of one length each, got others"
-        low, high = pc.min_max(_flat(level)).as_py().values()
+        low, high = pc.min_max(pc.list_flatten(level)).as_py().values()
         return "" if low is None or 0 <= low <= high <= self._n else f"{column.name}: expected numbers of blocks"
 
     def _unequal(self, columns: Sequence[Column], arrays: Mapping[str, pa.Array]) -> str:
@@ -255,7 +255,7 @@ def fault_of_counts(table: pa.Table) -> str:
     n_recorded = pc.list_value_length(column["event_t"]) if "event_t" in column else None
     if n_recorded is not None and not n_recorded.cast(pa.int64()).equals(column["n_events"]):
         return "n_events: expected the number of the events that are kept, got another"
-    ends, levels = _offsets(column["n_stick"])[1:], _flat(column["n_stick"])
+    ends, levels = _offsets(column["n_stick"])[1:], pc.list_flatten(column["n_stick"])
     of_runs = pc.is_valid(column["n_stick"])
     ends_of_runs = levels.take(pa.array(ends - 1).filter(of_runs))
     if not ends_of_runs.equals(column["n_stick_end"].filter(of_runs)):
@@ -283,7 +283,7 @@ _OF_RUNS = {"t", "n_stick", "t_stop", "n_stick_end", "n_events", "event_t", "eve
 
 def _disorder(column: Column, array: pa.Array) -> str:
     """Whether the times of a row go back; those of changes begin at 0, and differ."""
-    values, offsets = _flat(array).to_numpy(zero_copy_only=False), _offsets(array)
+    values, offsets = pc.list_flatten(array).to_numpy(zero_copy_only=False), _offsets(array)
     steps = np.diff(values)
     is_inner = np.ones(len(steps), bool)
     ends = offsets[1:-1]
@@ -299,13 +299,9 @@ def _disorder(column: Column, array: pa.Array) -> str:
 
 
 def _offsets(array: pa.Array) -> np.ndarray:
-    """Where each row begins among the values of `_flat`, and the end of the last."""
+    """Where each row begins among the values of all, and the end of the last."""
     lengths = pc.fill_null(pc.list_value_length(array), 0).to_numpy(zero_copy_only=False)
     return np.concatenate(([0], np.cumsum(lengths, dtype=np.int64)))
-
-
-def _flat(array: pa.Array) -> pa.Array:
-    return pc.list_flatten(array)
 
 
 def joined(column: pa.ChunkedArray) -> pa.Array:
