@@ -191,19 +191,10 @@ def end_of_motion(
     if not first.sticks_and_slips:
         return None
 
-    def there(place: float) -> Settled:
-        """What follows there on what was followed last, or else on the first: another motion may last for longer."""
-        system = system_at(place)
-        following = trace.last.followed(system, t_end, t_burn, settings)
-        if following.sticks_and_slips or trace.last is first:
-            return following
-        attempt = first.followed(system, t_end, t_burn, settings)
-        return attempt if attempt.sticks_and_slips else following
-
     high = 1.0
     while True:
         # the whole step first, and what lay beyond an end again from there: a long step may leave what still attracts
-        following = there(high)
+        following = trace.at(high, first, t_end, t_burn)
         if following.sticks_and_slips:
             if high == 1.0:
                 return None
@@ -220,7 +211,7 @@ def end_of_motion(
             return trace.end(high, following)
         while high - trace.low > width:
             middle = 0.5 * (trace.low + high)
-            following = there(middle)
+            following = trace.at(middle, first, t_end, t_burn)
             if following.sticks_and_slips:
                 trace.reach(middle, following)
                 trace.advance()
@@ -256,6 +247,15 @@ class Trace:
         self.low, self.last = place, settled
         if settled.attractor.kind == "periodic":
             self.cycles.append((place, settled))
+
+    def at(self, place: float, first: Settled, t_end: float, t_burn: float) -> Settled:
+        """What follows there on what was followed last, or else on the first: another motion may last for longer."""
+        system = self.system_at(place)
+        following = self.last.followed(system, t_end, t_burn, self.settings)
+        if following.sticks_and_slips or self.last is first:
+            return following
+        attempt = first.followed(system, t_end, t_burn, self.settings)
+        return attempt if attempt.sticks_and_slips else following
 
     def advance(self) -> None:
         """Follow a cycle by Newton's method, in steps that shrink where it fails, to an eighth of the width."""
