@@ -82,32 +82,46 @@ def run_ensemble(
 
     Parameters
     ----------
+    scene : Scene
+        Its `source` is kept beside the data.
     out : str, Path or Place
-        Directory of the dataset, or its address in an object store: absent, empty, or an earlier run of this scene or
-        of a part of it, which is resumed, or grows.
+        Directory of the dataset, or its address in an object store: absent, empty, or an earlier run of this scene,
+        which is resumed, or of a part of it, which grows.
     workers : int
         Local processes of one thread each; 0 runs in this process, for debugging and small scenes.
     scheduler : str, distributed.Client or callable, optional
-        Instead of local workers: address of a dask cluster, or a client, or a function that returns one, called once
-        there is something to compute. Its workers need this package and should have one thread each.
+        Address of a running dask cluster, or a client of one, or a function that returns it and is called once there
+        is something to compute; used instead of local workers. Its workers need this package and should have one
+        thread each.
     on_progress : callable, optional
         Called with a `Progress` at the start, each second while the run waits, and after each commit.
-    retry_failed, accept_version : bool
-        Whether to run shards with failed members again; whether to resume a dataset that another version of the
-        program began, where numbers may differ.
-    dashboard, yes : bool
-        Whether local workers have dask's dashboard, which anybody on this machine may look at; whether to run more
-        than 10 million members, which may be a typing error.
+    retry_failed : bool
+        Whether to run shards with failed members again.
+    accept_version : bool
+        Whether to resume a dataset that another version of the program began; numbers may differ.
+    dashboard : bool
+        Whether local workers have dask's dashboard, which anybody on this machine may look at.
+    yes : bool
+        Whether to run more than 10 million members, which may be a typing error.
     kept : str, Path, Place or Opened, optional
         Another dataset. Its members that are the same here, and did not fail, are run only for what their rows lack.
 
     Raises
     ------
-    ValueError, CacheError, StoreError
-        If `workers` is negative, others could write the kernel cache, or the directory cannot be used or written.
-    SceneError, AddressError, ScheduleError
-        If the scene cannot be run, on this machine or by these engines, or files and functions are not what it says,
-        or no scheduler answers (nothing was done); if it is lost, or workers do not come up or run another version.
+    ValueError
+        If `workers` is negative.
+    CacheError
+        If others could write the kernel cache.
+    StoreError
+        If the directory cannot be used or written.
+    SceneError
+        If it has many members without a yes, an engine does not take what the scene asks, a worker of this machine
+        cannot hold its largest system, or a file that systems come from is gone or another, or what functions of the
+        user's own measure of a run is not what they declare or differs from call to call; nothing was done.
+    AddressError
+        If no scheduler answers at the address; nothing was done.
+    ScheduleError
+        If the scheduler is lost, workers do not come up, or run another version.
     """
     start = time.monotonic()
     _check(scene, workers, scheduler, yes)
