@@ -61,15 +61,16 @@ def outcome(steps: Sequence[Step]) -> str:
     return EQUAL if judged and judged <= {Verdict.EQUAL, Verdict.SAME} else UNDECIDED
 
 
-def _size(step: Step) -> tuple[bool, bool, float]:
-    """Sorts steps: those that are shown come last, then those with a margin, then those that are large."""
+def _size(step: Step) -> tuple[bool, bool, bool, float]:
+    """Sorts steps: those that are shown come last, then those with a margin, with an interval, and that are large."""
     contrast = step.contrast
     start, end = contrast.first.value, contrast.second.value
     size = 0.0
     if not contrast.is_same and start is not None and end is not None:
         is_absolute = contrast.statistic.is_share or not start
         size = abs(end - start) if is_absolute else abs(end / start - 1.0)
-    return contrast.is_shown, contrast.has_margin, size
+    has_interval = contrast.difference.estimate.low is not None
+    return contrast.is_shown, contrast.has_margin, has_interval, size
 
 
 def in_words(by_setting: Mapping[Setting, str], name: str) -> tuple[str, ...]:

@@ -81,6 +81,11 @@ class Quantity:
 PER_TIME, TIME_UNITS = ", per unit of time", " time units"
 
 
+def in_unit(value: str, unit: str) -> str:
+    """A value with its unit, if it has one."""
+    return f"{value} {unit}" if unit else value
+
+
 def in_units(said: Any, units: Units) -> Any:
     """A finding, or a part of one, whose quantities have their units."""
     if isinstance(said, Quantity | Place | KeyChange):
@@ -426,7 +431,7 @@ class Threshold:
     @property
     def stretch(self) -> str:
         """The values of the key between which it lies."""
-        return f"{self.last} to {self.first}{f' {self.unit}' * bool(self.unit)}"
+        return in_unit(f"{self.last} to {self.first}", self.unit)
 
 
 @dataclass(frozen=True)
@@ -502,8 +507,7 @@ class Attracting:
     @property
     def stretch(self) -> str:
         """The values of the key."""
-        ends = self.low if self.low == self.high else f"{self.low} to {self.high}"
-        return f"{ends} {self.unit}" if self.unit else ends
+        return in_unit(self.low if self.low == self.high else f"{self.low} to {self.high}", self.unit)
 
 
 class Truth(StrEnum):
@@ -571,10 +575,9 @@ def levels(finding: Finding) -> list[Level]:
         case Share(key, things, predicate, estimate, where, comparison, basis):
             return [Level(_share(key, things, predicate), estimate, where, comparison, basis)]
         case Change(quantity, keys, _, after, difference, where, basis):
-            units = [f" {key.unit}" if key.unit else "" for key in keys]
             key = " with ".join(change.key for change in keys)
-            first = " with ".join(change.first + unit for change, unit in zip(keys, units, strict=True))
-            second = " with ".join(change.second + unit for change, unit in zip(keys, units, strict=True))
+            first = " with ".join(in_unit(change.first, change.unit) for change in keys)
+            second = " with ".join(in_unit(change.second, change.unit) for change in keys)
             comparison = Comparison(f"{key} = {first}", difference)
             return [Level(quantity, after, Place.key(key, second) + where, comparison, basis)]
         case Law(parameter=parameter, departure=departure, scope=scope):

@@ -34,6 +34,7 @@ from stickslip.analysis.findings.finding import (
     Threshold,
     Turn,
     Verdict,
+    in_unit,
 )
 from stickslip.analysis.findings.numbers import bare, decimals, is_exact, number, signs, span, with_interval
 from stickslip.analysis.findings.place import EVERYWHERE, Place
@@ -141,13 +142,13 @@ def _clauses(finding: Statement, is_brief: bool = False) -> Clauses:
         case Alike(quantity, value, among, where):
             is_count = quantity.form is Form.COUNT
             digits = decimals(Estimate(value), quantity.form) + (not is_count)  # it is known to many
-            shown = number(value, quantity.form, digits) + _in(quantity)
+            shown = in_unit(number(value, quantity.form, digits), quantity.unit)
             return (f"{quantity.name}{where.tail}: {shown}, the same {among}",)
         case Outcomes():
             return _outcomes(finding)
         case Threshold(subject, is_end, key, last, first, where, basis):
             in_all = "" if basis is None or basis.n == 1 else f", in all {based_on(basis)}"
-            ends = f"{'ends' if is_end else 'begins'} between {key} = {last} and {first}{_in(finding)}"
+            ends = f"{'ends' if is_end else 'begins'} between {key} = {last} and {in_unit(first, finding.unit)}"
             return (f"{subject} {ends}{where.tail}{in_all}",)
         case Regime():
             return _regime(finding)
@@ -212,14 +213,9 @@ def _level(level: Level, is_brief: bool = False) -> Clauses:
     return (said,) if compared else _beside(said, level.comparison, quantity, is_brief)
 
 
-def _in(said: Quantity | KeyChange | Threshold) -> str:
-    """The unit of a quantity or a key, after its value."""
-    return f" {said.unit}" if said.unit else ""
-
-
 def _value(quantity: Quantity, estimate: Estimate) -> str:
     """An estimate with its unit."""
-    return with_interval(estimate, quantity.form) + _in(quantity)
+    return in_unit(with_interval(estimate, quantity.form), quantity.unit)
 
 
 def _in_clause(level: Level) -> str:
@@ -262,13 +258,16 @@ def _compared(comparison: Comparison, quantity: Quantity | None) -> Addition:
         case Verdict.OPEN_AMONG_MANY:
             distance = f"{reference}: {interval(difference, form)}"
             return Addition(clause=f"difference from {distance}, not significant among {_n_tests(difference)}")
+        case Verdict.UNJUDGED if difference.estimate.value is not None:
+            distance = _signed(difference, form) + _of(difference, quantity)
+            return Addition(clause=f"the difference from {reference} is {distance}, without an interval")
         case Verdict.UNJUDGED:
             return Addition(f"compared with {reference}, without an interval")
 
 
 def _of(difference: Difference, quantity: Quantity | None) -> str:
-    """The unit of a difference, if that is not relative."""
-    return "" if quantity is None or difference.scale is Scale.RELATIVE else _in(quantity)
+    """The unit of a difference, if that is not relative, after its size."""
+    return "" if quantity is None or difference.scale is Scale.RELATIVE else in_unit("", quantity.unit)
 
 
 def ratio(difference: Difference) -> str | None:
@@ -381,13 +380,12 @@ def _change(change: Change, is_brief: bool = False) -> Clauses:
 def _turning(change: Change, turn: Turn, along: str) -> Clauses:
     """A change that is not one way all along."""
     name, (start, end) = change.quantity.name, _levels(change)
-    unit = _in(change.quantity)
-    there = f"{with_interval(turn.estimate, change.quantity.form)}{unit} near {turn.near}"
+    there = f"{_value(change.quantity, turn.estimate)} near {turn.near}"
     match turn.course:
         case Course.MINIMUM:
-            return f"{name} has a minimum of {there}", f"it falls from {start} and rises to {end}{unit} {along}"
+            return f"{name} has a minimum of {there}", f"it falls from {start} and rises to {end} {along}"
         case Course.MAXIMUM:
-            return f"{name} has a maximum of {there}", f"it rises from {start} and falls to {end}{unit} {along}"
+            return f"{name} has a maximum of {there}", f"it rises from {start} and falls to {end} {along}"
         case Course.NO_TREND:
             return f"{name} changes without a trend {along}", f"it goes {_from_to(change)}"
 
@@ -400,14 +398,15 @@ def _along(change: Change) -> str:
 
 def _goes(key: KeyChange, verb: str = " goes") -> str:
     said = key.said
-    return f"{said.key}{verb} from {said.first} to {said.second}{_in(said)}"
+    return f"{said.key}{verb} from {said.first} to {in_unit(said.second, said.unit)}"
 
 
 def _open(change: Change) -> str:
     """Levels and the estimate of a change that is not shown."""
     form, difference = change.quantity.form, change.difference
     start, end = _levels(change)
-    levels = (f"is {end} at both ends" if start == end else f"goes from {start} to {end}") + _in(change.quantity)
+    is_level = end == in_unit(start, change.quantity.unit)
+    levels = f"is {end} at both ends" if is_level else f"goes from {start} to {end}"
     value = difference.estimate.value
     assert value is not None
     unit = form_of(difference, form)
@@ -426,24 +425,24 @@ def _by(change: Change) -> str:
 
 
 def _from_to(change: Change) -> str:
-    return "from {} to {}".format(*_levels(change)) + _in(change.quantity)
+    return "from {} to {}".format(*_levels(change))
 
 
 def _levels(change: Change) -> tuple[str, str]:
-    """The quantity before and after."""
+    """The quantity before, and after with its unit."""
     start, end = change.before.value, change.after.value
     assert start is not None
     assert end is not None
     form, difference = change.quantity.form, change.difference
     is_absolute = difference.scale is Scale.ABSOLUTE
     places = decimals(difference.estimate if is_absolute else Estimate(max(abs(start), abs(end))), form)
-    return number(start, form, places), number(end, form, places)
+    return number(start, form, places), in_unit(number(end, form, places), change.quantity.unit)
 
 
 def _lifetime(lifetime: Lifetime, is_brief: bool) -> Clauses:
     if lifetime.estimate.value is None:
         share = f"{number(lifetime.share_left, Form.SHARE)} of"
-        where = Place.key("t", f"{lifetime.horizon:g}{_in(lifetime.quantity)}") + lifetime.where
+        where = Place.key("t", in_unit(f"{lifetime.horizon:g}", lifetime.quantity.unit)) + lifetime.where
         return (f"{share} {lifetime.things} {lifetime.predicate}{where.tail}",)
     name, value = lifetime.quantity.name + lifetime.where.tail, _value(lifetime.quantity, lifetime.estimate)
     return _beside(f"{name}: {value}", lifetime.comparison, lifetime.quantity, is_brief)

@@ -10,6 +10,7 @@ be told. A run in which all blocks stick from its start to its end has not moved
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -116,6 +117,13 @@ def _scatter(t: np.ndarray, share: np.ndarray, times: np.ndarray, ended: np.ndar
     return Scatter.of(share, squares, concentration, n_of, float(len(times)))
 
 
+class Survival(NamedTuple):
+    """The share of runs that have not ended by a time, and when half of them have ended."""
+
+    curve: Curve
+    median: Estimate
+
+
 def survival(
     fates: np.ndarray,
     t_last: np.ndarray,
@@ -123,11 +131,11 @@ def survival(
     t_end: np.ndarray,
     confidence: float,
     units: np.ndarray | None = None,
-) -> Curve:
-    """Share of runs that have not ended by a time: `kaplan_meier` of the results of `ends_at`.
+) -> Survival:
+    """`kaplan_meier` and `median` of the results of `ends_at`.
 
     Quiet runs count as ended at their last events: those that lack a certificate are no random part of all, and
-    to censor them would be to say that they go on. The upper end of the interval takes them as not ended.
+    to censor them would be to say that they go on. The upper ends of intervals take them as not ended.
 
     Parameters
     ----------
@@ -138,43 +146,20 @@ def survival(
     units : ndarray of int, shape (m,), optional
         As in `kaplan_meier`.
     """
-    times, has_ended, earliest = _ends(fates, t_last, t_stop, t_end)
-    is_quiet = fates == QUIET
-    curve = kaplan_meier(earliest, has_ended | is_quiet, confidence, units)
-    if not is_quiet.any():
-        return curve
-    upper = kaplan_meier(times, has_ended, confidence, units)
-    t = np.union1d(curve[0], upper[0])
-    (share, low), (high,) = (
-        [column[np.searchsorted(source[0], t, side="right") - 1] for column in columns]
-        for source, columns in ((curve, (curve[1], curve[2])), (upper, (upper[3],)))
-    )
-    return t, share, low, high
-
-
-def half_ended(
-    fates: np.ndarray,
-    t_last: np.ndarray,
-    t_stop: np.ndarray,
-    t_end: np.ndarray,
-    confidence: float,
-    units: np.ndarray | None = None,
-) -> Estimate:
-    """Time by which half of the runs have ended: `median` of the runs of `survival`, with the same parameters.
-
-    Quiet runs count as ended at their last events; the upper end of the interval takes them as not ended.
-    """
-    times, has_ended, earliest = _ends(fates, t_last, t_stop, t_end)
-    half = median(earliest, has_ended | (fates == QUIET), confidence, units)
-    return replace(half, high=median(times, has_ended, confidence, units).high)
-
-
-def _ends(
-    fates: np.ndarray, t_last: np.ndarray, t_stop: np.ndarray, t_end: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Results of `ends_at` of some runs, and the times with quiet runs taken as ended at their last events."""
-    times, has_ended = ends_at(fates, t_last, t_stop, t_end)
-    return times, has_ended, np.where(fates == QUIET, t_last, times)
+    (times, has_ended), is_quiet = ends_at(fates, t_last, t_stop, t_end), fates == QUIET
+    lower = np.where(is_quiet, t_last, times), has_ended | is_quiet, confidence, units
+    upper = times, has_ended, confidence, units
+    half = replace(median(*lower), high=median(*upper).high)
+    curve = kaplan_meier(*lower)
+    if is_quiet.any():
+        bound = kaplan_meier(*upper)
+        t = np.union1d(curve[0], bound[0])
+        (share, low), (high,) = (
+            [column[np.searchsorted(source[0], t, side="right") - 1] for column in columns]
+            for source, columns in ((curve, (curve[1], curve[2])), (bound, (bound[3],)))
+        )
+        curve = t, share, low, high
+    return Survival(curve, half)
 
 
 def median(times: np.ndarray, ended: np.ndarray, confidence: float, units: np.ndarray | None = None) -> Estimate:

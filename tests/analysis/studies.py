@@ -572,7 +572,8 @@ def survival(rng, n_runs, rate, t_end, delay):
         fates.fate("collapsed" if t_stop <= t_end else "finished", (np.array([t]), np.array([0])), t_end, growth_rate)
         for t, t_stop, growth_rate in zip(last, certified, np.where(goes_on, 1e-4, -1e-4), strict=True)
     ]
-    return fates.survival(np.array(hows), last, np.minimum(certified, t_end), np.full(n_runs, t_end), CONFIDENCE)
+    t_stop = np.minimum(certified, t_end)
+    return fates.survival(np.array(hows), last, t_stop, np.full(n_runs, t_end), CONFIDENCE).curve
 
 
 def survival_study(rng, ensembles, delay=20.0):

@@ -21,7 +21,6 @@ from stickslip.analysis.models.fates import (
     bounded_share,
     ends_at,
     fate,
-    half_ended,
     kaplan_meier,
     median,
     survival,
@@ -75,23 +74,23 @@ def test_survival_and_its_median_are_of_all_starts_of_a_matrix():
     fates_of = np.repeat([[COLLAPSED] + [SUSTAINED] * 3, [COLLAPSED] * 4], 3, axis=0).ravel()
     t_last = np.where(np.arange(24) % 4 == 0, 10.0, 50.0)
     units, t_end = np.repeat(np.arange(6), 4), np.full(24, 1000.0)
-    t, share, _, _ = survival(fates_of, t_last, t_end, t_end, 0.95, units)
+    t, share, _, _ = survival(fates_of, t_last, t_end, t_end, 0.95, units).curve
     assert t.tolist() == [0.0, 10.0, 50.0]
     assert share == pytest.approx([1.0, 18 / 24, 9 / 24])
-    half = half_ended(fates_of, t_last, t_end, t_end, 0.95, units)
+    half = survival(fates_of, t_last, t_end, t_end, 0.95, units).median
     assert half.value == 50.0
     assert (half.low, half.high) == (50.0, None)
 
 
 def test_one_unit_is_one_trial_and_an_end_holds_until_the_last_time_that_allows_it():
     fates_of, t = np.full(40, COLLAPSED, dtype=object), np.arange(1.0, 41.0)
-    _, share, low, high = survival(fates_of, t, t, np.full(40, 99.0), 0.95, np.zeros(40, int))
+    _, share, low, high = survival(fates_of, t, t, np.full(40, 99.0), 0.95, np.zeros(40, int)).curve
     k = int(np.argmin(np.abs(share - 0.5)))
     assert (low[k], high[k]) == pytest.approx(wilson(0.5, 1.0, 0.95))
     # 60 of each of two units end at 1, so that both agree, then 40 of one at 2: half may yet last
     t_last = np.concatenate([np.ones(60), np.full(40, 2.0), np.ones(60), np.full(40, 50.0)])
     how = np.where(t_last < 50.0, COLLAPSED, SUSTAINED)
-    half = half_ended(how, t_last, np.full(200, 50.0), np.full(200, 50.0), 0.95, np.repeat([0, 1], 100))
+    half = survival(how, t_last, np.full(200, 50.0), np.full(200, 50.0), 0.95, np.repeat([0, 1], 100)).median
     assert (half.value, half.high) == (1.0, None)
 
 
@@ -244,7 +243,7 @@ def test_survival_takes_runs_without_a_certificate_either_way():
     """Four of ten ended by t = 53; five more did by t = 58, or not at all."""
     hows = np.array([COLLAPSED] * 4 + [QUIET] * 5 + [SUSTAINED])
     t_end = np.full(10, 1000.0)
-    t, share, low, high = survival(hows, np.arange(50.0, 60.0), t_end, t_end, 0.95)
+    t, share, low, high = survival(hows, np.arange(50.0, 60.0), t_end, t_end, 0.95).curve
     least, most = (kaplan_meier(np.arange(50.0, 60.0), np.arange(10) < n_ended, 0.95) for n_ended in (9, 4))
     assert (t[-1], share[-1], low[-1], high[-1]) == (58, pytest.approx(0.1), least[2][-1], most[3][-1])
 

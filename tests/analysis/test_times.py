@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from stickslip.analysis.models.fates import SUSTAINED, half_ended
+from stickslip.analysis.models.fates import SUSTAINED, survival
 from stickslip.analysis.models.times import Times, median_difference
 from stickslip.analysis.stats.compare import mean_difference
 from stickslip.analysis.stats.estimates import Undefined, over_matrices, ratio
@@ -98,7 +98,7 @@ def test_a_median_that_no_run_has_is_later_than_all_were_followed(rng):
     early = Times.of_runs(units, np.repeat([2.0, 10.0], 9), np.zeros(18, dtype=bool))  # half of them not for long
     assert early.median(0.95).low == 2.0
     hows = np.full(18, SUSTAINED, dtype=object)
-    assert half_ended(hows, np.full(18, 9.0), np.full(18, 10.0), np.full(18, 10.0), 0.95, units).low == 10.0
+    assert survival(hows, np.full(18, 9.0), np.full(18, 10.0), np.full(18, 10.0), 0.95, units).median.low == 10.0
 
 
 def test_a_restricted_mean_has_an_interval_however_few_runs_have_it():

@@ -46,7 +46,6 @@ from stickslip.analysis.models.fates import (
     LULL,
     QUIET,
     Curve,
-    half_ended,
     is_unstable,
     median,
     survival,
@@ -414,7 +413,7 @@ def _ends(study: Study, setting: Setting) -> Ends:
     t_stop = study.data.table.own["t_stop"].to_numpy(np.float64, na_value=np.nan)[setting.runs.rows]
     t_end = np.full(len(t_stop), setting.t_end)
     runs = fates[ran], t_last[ran, 0], t_stop, t_end, study.settings.confidence, setting.runs.units
-    return Ends(setting, survival(*runs), half_ended(*runs))
+    return Ends(setting, *survival(*runs))
 
 
 def _along_t_burn(study: Study, rows: Sequence[burn_in.AtBurn]) -> dict[str, Picture]:
