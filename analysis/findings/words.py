@@ -185,20 +185,24 @@ def _share(share: Share, is_brief: bool) -> Clauses:
     if is_whole and basis is not None and basis.n == 1:
         estimate, bracket = Estimate(estimate.value), f" ({based_on(basis)}, no interval)"
     head, tail = (share.where.head, "") if share.where.has_key else ("", share.where.tail)
-    words = f"{head}{_amount(estimate, share.n if is_whole else None, share.things)} {share.predicate}{tail}{bracket}"
+    amount = _amount(estimate, share.n if is_whole else None, share.things, basis)
+    words = f"{head}{amount} {share.predicate}{tail}{bracket}"
     if bracket or comparison is None or comparison.difference.verdict is not Verdict.OPEN:
         return _beside(words, comparison, None, is_brief)
     difference = _signed(comparison.difference, Form.SHARE)
     return f"{words}, consistent with {comparison.other}", f"the difference is {difference}"
 
 
-def _amount(share: Estimate, n: int | None, things: str) -> str:
-    """How many of n things: "80% (38 to 96%) of 5 runs", "all 5 runs (57 to 100%)"; n is not said of one."""
+def _amount(share: Estimate, n: int | None, things: str, basis: Basis | None) -> str:
+    """How many of n things: "80% (38 to 96%) of 5 runs", "all 40 runs of 20 systems (at least 84%)"."""
     count = f"{n:,} {things}" if n is not None and n > 1 else things
+    if n is not None and basis is not None and 1 < basis.n < n and things != f"{basis.unit}s":
+        count += f" of {based_on(basis)}"
     if share.value not in (0.0, 1.0):
         return f"{with_interval(share, Form.SHARE)} of {count}"
-    low, high = share.low, share.high
-    bracket = f" ({span(low, high, Form.SHARE)})" if low is not None and high is not None and low < high else ""
+    bound, end = ("at least", share.low) if share.value else ("at most", share.high)
+    digits = decimals(share, Form.SHARE)
+    bracket = "" if end in (None, share.value) else f" ({bound} {number(end, Form.SHARE, digits)})"
     return ("all " if share.value else f"none of {'the ' * (count == things)}") + count + bracket
 
 
@@ -289,7 +293,7 @@ def difference_in_words(difference: Difference, form: Form = Form.NUMBER) -> tup
     text = _signed(difference, form)
     if verdict is Verdict.EQUAL:
         return text, f"within {margin(difference, form)}"
-    return text, "not significant among so many" * (verdict is Verdict.OPEN_AMONG_MANY)
+    return text, "not significant after Holm's correction" * (verdict is Verdict.OPEN_AMONG_MANY)
 
 
 def size(difference: Difference, form: Form = Form.NUMBER) -> str:
@@ -574,8 +578,9 @@ def _regime(regime: Regime) -> Clauses:
     head, things, share, (verb, *others) = regime.where.head, regime.things, regime.share, regime.predicates
     if regime.of == 1:
         return (f"{head}{things} {verb}",)
-    is_share = share.low is not None or regime.n == regime.of
-    amount = _amount(share, regime.of, things) if is_share else f"{regime.n:,} of {regime.of:,} {things}"
+    amount = f"{regime.n:,} of {regime.of:,} {things}"
+    if share.low is not None or regime.n == regime.of:
+        amount = _amount(share, regime.of, things, regime.basis)
     return f"{head}{amount} {verb}", *((f"the others {listed(others, 'or')}",) if others else ())
 
 

@@ -10,9 +10,8 @@ from typing import NamedTuple
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from stickslip.analysis.findings.finding import Comparison, Form, Level, Quantity
-from stickslip.analysis.findings.numbers import alike, signs, with_interval
+from stickslip.analysis.findings.numbers import signs, with_interval
 from stickslip.analysis.findings.words import based_on, difference_in_words, plural
-from stickslip.analysis.stats.estimates import Estimate
 
 MOST_ROWS = 24  # of a table on a page
 MOST_FIRST = 8  # of the table on the first screen
@@ -105,14 +104,11 @@ def findings_table(levels: Sequence[Level], where: str = "", most: int = MOST_RO
         Rows that are shown.
     """
     levels = [level for level in levels if level.estimate.value is not None or level.estimate.high is not None]
-    estimates: dict[str, list[Estimate]] = {}
-    for level in levels:
-        estimates.setdefault(level.quantity.name, []).append(level.estimate)
     cells = [
         {
             "what": _what(level.quantity),
             "where": signs(str(level.where)),
-            "estimate": _estimate(level, estimates[level.quantity.name]),
+            "estimate": _unbroken(with_interval(level.estimate, level.quantity.form)),
             "compared with": signs(level.comparison.other) if level.comparison is not None else "",
             "difference": _difference(level.comparison, level.quantity.form) if level.comparison is not None else "",
             "from": _unbroken(based_on(level.basis)),
@@ -131,12 +127,6 @@ def findings_table(levels: Sequence[Level], where: str = "", most: int = MOST_RO
 def _what(quantity: Quantity) -> str:
     """The name of a quantity with its unit."""
     return f"{quantity.name} ({quantity.unit})" if quantity.unit else quantity.name
-
-
-def _estimate(level: Level, estimates: Sequence[Estimate]) -> str:
-    """With as many decimals as others of its quantity."""
-    form = level.quantity.form
-    return _unbroken(with_interval(level.estimate, form, alike(estimates, form)))
 
 
 def _difference(comparison: Comparison, form: Form) -> str:

@@ -98,8 +98,8 @@ def ensemble(rng, planted, rate, g=12, size=1e-6, t_part=400.0, **settings):
 def test_rates_have_their_sign(rng, planted, settings, rate, verdict):
     found = answer(Study(ensemble(rng, planted, rate), replace(settings, confidence=SURE)))
     lead, parted = found.findings
-    assert lead.quantity.name == f"time in which start differences of 1e-6 {verdict} e-fold"
-    assert sentence(lead).startswith(f"At n = 200, exact, start differences of 1e-6 {verdict} e-fold in ")
+    assert lead.quantity.name == f"time in which initial differences of 1e-6 {verdict} e-fold"
+    assert sentence(lead).startswith(f"At n = 200, exact, initial differences of 1e-6 {verdict} e-fold every ")
     assert lead.estimate.low < 1 / abs(rate) < lead.estimate.high
     assert isinstance(parted, Lifetime)
     assert list(found.figures) == ["growth"]

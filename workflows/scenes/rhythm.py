@@ -140,7 +140,9 @@ def _trend(changed: Sequence[Change], key: str) -> str:
     if len(verdicts) != 1:
         return f"The {period.name} shows no one trend with {said}"
     side = f"as {said} decreases" if of_size else f"with {said}"
-    return f"The {period.name} {'rises' if verdicts == {Verdict.MORE} else 'falls'} {side}"
+    n_shown = sum(change.difference.verdict in verdicts for change in along)
+    only = f" (significant in {n_shown} of {len(along)} settings)" if n_shown < len(along) else ""
+    return f"The {period.name} {'rises' if verdicts == {Verdict.MORE} else 'falls'} {side}{only}"
 
 
 # --------------------------------------------------------------------------------------------------- changes

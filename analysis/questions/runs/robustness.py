@@ -35,8 +35,8 @@ from stickslip.pipeline.design.labels import Label, apart
 PRIMARY = ("mean", "rate", "gamma")
 SHIFT = Quantity(
     "shift",
-    "median shift of the last event",
-    clause="the last event shifts by a median of {}",
+    "median absolute shift of the last event",
+    clause="in half of the runs the last event shifts by more than {}",
     dimension="time",
 )
 _METHOD = "Each system is compared with its changed copy."

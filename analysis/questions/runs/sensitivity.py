@@ -32,7 +32,7 @@ CEILING = 3e-2  # of distances that still grow in proportion
 SMALL = 0.1  # largest displacement of a start for a growth rate, as a share of the ceiling
 FLOOR, TOLERANCES = 1e-13, 10.0  # floor of exact engines; that of others is so many times their relative tolerance
 RATE = Quantity("rate", "growth rate of small differences, per unit of time", dimension="frequency")
-PARTED = Quantity("parted", "median time until copies part from their base", dimension="time")
+PARTED = Quantity("parted", "median time until copies part from the original", dimension="time")
 
 
 def _method(study: Study) -> str:
@@ -77,7 +77,7 @@ class Rate(NamedTuple):
     @property
     def finding(self) -> Finding:
         where, basis = Place.of(self.setting.label), Basis(self.law.n_used, "pair")
-        differences = f"start differences of {shown(self.size)}"
+        differences = f"initial differences of {shown(self.size)}"
         lacking = f"growth rate of {differences}, {where}"
         if not self.law.n_pairs:
             return Lack(lacking, Reason.NOT_RECORDED, "add separation under [record]")
@@ -87,7 +87,7 @@ class Rate(NamedTuple):
             name = f"growth rate of {differences}, per unit of time"
             return Level(replace(RATE, name=name), self.law.rate, where, basis=basis)
         verb = "grow" if (self.law.rate.value or 0.0) > 0 else "shrink"
-        clause = f"{differences} {verb} e-fold in {{}} time units"
+        clause = f"{differences} {verb} e-fold every {{}} time units"
         name = f"time in which {differences} {verb} e-fold"
         quantity = Quantity("e_fold", name, clause=clause, dimension="time")
         return Level(quantity, self.e_fold, where, basis=basis)

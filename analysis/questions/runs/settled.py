@@ -294,7 +294,7 @@ def predicates(study: Study, outcomes: Sequence[Outcome], settings: Sequence[Set
 def _words(outcome: Outcome, settings: Sequence[Setting]) -> str:
     if outcome.kind == SLIDING and (n_quiet := sum(setting.runs.n_of(QUIET) for setting in settings)):
         is_partly = any(setting.runs.n_of(SLIDING) for setting in settings)
-        return f"{PREDICATES[SLIDING]} ({n_quiet:,} sliding so far)" if is_partly else PREDICATES[QUIET]
+        return f"slide steadily{{}} ({n_quiet:,} only so far)" if is_partly else PREDICATES[QUIET]
     exits = f" of {plural(outcome.exits, 'exit')} per period" if outcome.exits else ""
     return PREDICATES[outcome.kind] + exits
 

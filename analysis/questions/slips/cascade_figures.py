@@ -14,7 +14,7 @@ from stickslip.analysis.stats.estimates import Estimate, with_ends
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, bars, panel, size_axis
 from stickslip.pipeline.design.units import DIMENSIONLESS, Units
 
-SHOWN = 0.06  # largest relative error of a share that is drawn relative to p = 1/2
+SHOWN = 0.2  # largest relative error of a share that is drawn relative to p = 1/2
 FEWEST = 5  # cascades of a size that is drawn
 
 
@@ -144,8 +144,9 @@ def _size_law(
             ax.set(ylabel="f / (p = 1/2)", ylim=(min(ends) - margin, max(ends) + margin))
     top.set_yscale("log")
     top.yaxis.set_minor_locator(NullLocator())
-    if below:  # of few sizes, which may lie within a decade or two
-        top.yaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+    if below:
+        is_narrow = coin[0] < 100.0 * coin[-1]  # of a decade or two, one tick or none would show
+        top.yaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if is_narrow else (1.0,), numticks=4))
         top.yaxis.set_major_formatter(lambda x, _: f"{x:g}")
     top.set(ylabel="share, f")
     last_axes = (top, *below)[-1]

@@ -424,7 +424,7 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Mapping[str
     scatter = ""
     if lasting.value is not None:
         share = with_interval(lasting, Form.SHARE)
-        scatter = f" Fraction of the variance between systems not explained by sampling error: {share}."
+        scatter = f" Share of the variance between systems beyond sampling error: {share}."
     laws = {
         str(label or lead.group.label): sizes[curve.group.label] for label, curve in zip(labels, drawn, strict=True)
     }
@@ -440,13 +440,13 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Mapping[str
         "size_law": Picture(
             partial(cascade_figures.size_law, laws, rate),
             "Share of cascades of each size. Line and band: the fitted geometric distribution with its"
-            f" {level:.0%} interval.{below}",
+            f" {level:.0%} interval; bars: those of the shares.{below}",
         ),
         "decay_rates": Picture(
             partial(forest, of_each, rate, "decay rate", (LN2, COIN)),
-            f"{n_above} of {len(of_each)} {system}s{of_which} lie above {COIN} (dashed), the decay rate if slip onset"
-            f" and arrest were equally likely at each event. Decay rate of each, its interval from {PARTS} parts of"
-            f" its run, and of all together (diamond, band).{scatter}",
+            f"{n_above} of {len(of_each)} estimates{of_which} lie above {COIN} (dashed), the decay rate if slip"
+            f" onset and arrest were equally likely at each event. Decay rate of each {system}, its interval from"
+            f" {PARTS} parts of its run, and of all together (diamond, band).{scatter}",
         ),
         "one_run": Picture(draw_run, f"{cascade}Line: the run of {system} {example}."),
     }
