@@ -274,8 +274,8 @@ def _member_row(opened: Opened, member_id: str, columns: list[str]) -> dict[str,
     if not isinstance(member_id, str):
         raise QueryError(f"member_id: expected the name of a member, got {member_id!r}; `members` lists them")
     done = [batch for batch, _ in opened.tasks if batch.name in opened.manifest.shards]
-    shards = [batch.name for batch in done if member_id in batch.members.ids()]
-    rows = opened.table([*columns, "reason"], pc.field("member_id") == member_id, shards)
+    shard = next(([batch.name] for batch in done if member_id in batch.members.ids()), [])
+    rows = opened.table([*columns, "reason"], pc.field("member_id") == member_id, shard)
     if rows.num_rows == 0:
         names = list(itertools.chain.from_iterable(batch.members.ids() for batch in done))
         raise QueryError(f"member_id: expected a member that is done, got {member_id!r}{near(member_id, names)}")

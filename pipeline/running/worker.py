@@ -266,6 +266,7 @@ def cold_engines(engines: Iterable[str]) -> tuple[str, ...]:
 
 def load_kernels(members: Iterable[Member]) -> None:
     """Load the kernels that members need, or compile them, in a process of a worker's own."""
+    n_before = len(_loaded)
     for member in members:
         size = max((size for size in ENGINES[member.engine].sizes if size <= member.n), default=member.n)
         if (member.engine, size) not in _loaded:
@@ -281,5 +282,6 @@ def load_kernels(members: Iterable[Member]) -> None:
                 tiny = replace(tiny, source=source, terms=tuple(terms.items()), begin=begin)
             row(tiny, Recording(""))
             _loaded.add((member.engine, size))
-            gc.collect()
-            gc.freeze()  # what is loaded stays: to go through it again and again took a sixth of a worker's time
+    if len(_loaded) > n_before:
+        gc.collect()
+        gc.freeze()  # what is loaded stays: to go through it again and again took a sixth of a worker's time

@@ -454,7 +454,7 @@ def complete(
     reason, t_collapse, n_placed = "", None, 0
     while True:
         status = recorded.slice(divergence.bound) if first_slice is None else first_slice.status
-        first_slice = None
+        first_slice, flow = None, None
         s = float(clock[TIME])
         t = drive.time(s)
         if status == DONE:
@@ -466,29 +466,32 @@ def complete(
             certificate = collapse.certify(z, w)
             if certificate.is_certain and t_collapse is None:
                 outcome, reason, t_collapse = "collapsed", certificate.reason, t
-            if certificate.flow is not None:
-                _follow(certificate.flow, drive.length - s, s, state)
-                t = task.t_end
-                break
+            flow = certificate.flow
             clock[CHECK + int(mode[0] > 0)] = s + certificate.ask_again_after
-        elif status == PAUSED and task.stop_early and drive.is_steady and (flow := plan.settles()) is not None:
-            _follow(flow, drive.length - s, s, state)
-            t = task.t_end
-            break
+        elif status == PAUSED and task.stop_early and drive.is_steady:
+            flow = plan.settles()
         elif status == DIVERGED:
             if why := divergence.reason(t, z, w):
                 outcome, reason = "diverged", why
                 break
         elif status == STALLED:
             raise StalledError(f"no progress at t = {t!r}, at block {counters[LAST_BLOCK]}: {plan.stalled}")
-        if status in (PAUSED, BUFFER_FULL) and (n_left := _steps_left(task, counters, t)):
-            raise IntegrationError(
-                f"t_end: {counters[N_STEPS]} steps led to t = {t:g}, and nothing ends the motion; at this pace t ="
-                f" {task.t_end:g} takes {n_left:.0e} more: shorten the run"
-            )
-    z, w = drive.of_user(t, z, w)
+        if flow is not None:
+            _follow(flow, drive.length - s, s, state)
+            t = task.t_end
+            break
+        if status in (PAUSED, BUFFER_FULL):
+            _require_an_end(task, counters, t)
     _to_user(drive, task, state, n_placed)
-    events = recorded.all()
+    return _run(task, state, drive, plan, recorded.all(), outcome, reason, t, t_collapse)
+
+
+def _run(
+    task: Task, state: State, drive: Drive, plan: Plan, events: Events, outcome: Outcome, reason: str, t: float,
+    t_collapse: float | None,
+) -> Run:  # fmt: skip
+    """The run whose state is that at its end."""
+    z, w = drive.of_user(t, state.z, state.w)
     series = _series(events, *drive.of_all(events.t, events.all_stuck), task, plan, t)
     return Run(
         z=z,
@@ -497,19 +500,23 @@ def complete(
         events=series[0],
         outcome=outcome,
         reason=reason,
-        stats=stats_of(counters, len(series[0]), plan.method),
+        stats=stats_of(state.counters, len(series[0]), plan.method),
         t_collapse=t_collapse,
-        samples=task.samples.first(int(counters[N_SAMPLED])),
+        samples=task.samples.first(int(state.counters[N_SAMPLED])),
         stills=Stills(*events.all_stuck),
         by_threshold=dict(zip(plan.thresholds, series[1:], strict=True)),
     )
 
 
-def _steps_left(task: Task, counters: NDArray[np.int64], t: float) -> float:
-    """How many steps the rest of a run takes at its pace so far, if they are too many to be worth while, else 0."""
+def _require_an_end(task: Task, counters: NDArray[np.int64], t: float) -> None:
+    """IntegrationError if the rest of a run, at its pace so far, takes more steps than are worth while."""
     n, steps = task.system.n, float(counters[N_STEPS])
     left = steps * ((task.t_end - t) / max(t - task.t_start, 1e-300))
-    return left if steps * max(n, _FEW) > _TRIED and left * n > _MOST else 0.0
+    if steps * max(n, _FEW) > _TRIED and left * n > _MOST:
+        raise IntegrationError(
+            f"t_end: {counters[N_STEPS]} steps led to t = {t:g}, and nothing ends the motion; at this pace t ="
+            f" {task.t_end:g} takes {left:.0e} more: shorten the run"
+        )
 
 
 def _series(

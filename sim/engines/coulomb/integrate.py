@@ -60,12 +60,29 @@ def runs(tasks: Sequence[Task], engine: Coulomb) -> list[Callable[[], Run]]:
     def together(group: list[Task]) -> _Runs | None:
         return _Runs(group, engine) if _may_begin_together(group, engine) else None
 
-    return stacks.runs(tasks, together, partial(alone, engine))
+    def stored(task: Task) -> Task:
+        return _stored(task, engine, _is_by_waves(task, engine))
+
+    return stacks.runs([*map(stored, tasks)], together, partial(alone, engine))
+
+
+def _is_by_waves(task: Task, engine: Coulomb) -> bool:
+    return task.modes is None and engine.is_by_waves(task.system, task.length)
+
+
+def _stored(task: Task, engine: Coulomb, by_waves: bool) -> Task:
+    """The task with K as the method takes it, dense or sparse."""
+    system = task.system
+    if isinstance(system.stiffness, np.ndarray) != engine.is_sparse(system, by_waves):
+        return task
+    return task._replace(system=_otherwise(system))
 
 
 @once_a_system
-def _sparse(system: System) -> System:
-    """The system with its dense K as a sparse one."""
+def _otherwise(system: System) -> System:
+    """The system with its dense K as a sparse one, or the other way round."""
+    if not isinstance(system.stiffness, np.ndarray):
+        return system.changed(stiffness=system.stiffness.toarray())
     from scipy.sparse import csc_array  # it takes a tenth of a second to load
 
     return system.changed(stiffness=csc_array(system.stiffness))
@@ -75,29 +92,25 @@ def _may_begin_together(tasks: Sequence[Task], engine: Coulomb) -> bool:
     """Whether all are run by series, with products of one kind, and none is beyond float64 or heavily damped."""
     pull, damping = (np.array([getattr(task.system, name) for task in tasks]) for name in ("row_sums", "damping"))
     is_any_alone = is_heavy(damping, pull, 0.0).any() or any(
-        engine.is_nearly_empty(task.system)
-        or engine.is_by_waves(task.system, task.length)
-        or _beyond_float64(task, True)
-        for task in tasks
+        engine.is_by_waves(task.system, task.length) or _beyond_float64(task, True) for task in tasks
     )
     return not is_any_alone and products.are_of_one_kind(pull)
 
 
 def alone(engine: Coulomb, task: Task) -> Run:
     """The run of a task, by the method that it takes; raises as those of `runs`."""
-    if engine.is_nearly_empty(task.system):
-        task = task._replace(system=_sparse(task.system))
-    by_series = not engine.is_by_waves(task.system, task.length)
-    if beyond := _beyond_float64(task, by_series):
+    by_waves = _is_by_waves(task, engine)
+    if beyond := _beyond_float64(task, not by_waves):
         raise ValueError(f"system: expected {beyond}; take other units, as System.from_physical does")
-    if by_series:
+    if not by_waves:
         return _by_series(task, engine)
     system, tol = task.system, engine.tol_of_waves(task.system, task.length)
-    return waves.run(task, tol, _followed(system, tol), lambda: _by_series(task, engine))
+    stored = _stored(task, engine, True)
+    return waves.run(stored, tol, _followed(system, tol), lambda: _by_series(task, engine))
 
 
 def _by_series(task: Task, engine: Coulomb) -> Run:
-    return _Runs([task], engine).go_on(0)
+    return _Runs([_stored(task, engine, False)], engine).go_on(0)
 
 
 def _followed(system: System, tol: float) -> float:

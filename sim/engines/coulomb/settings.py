@@ -14,20 +14,25 @@ from stickslip.sim.engines.tolerances import TOL
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.system import System
 
+# Which method is faster, by `python -m tests.picks`.
+
 #: The fewest blocks from which waveform relaxation is faster, the least tolerance there, and the power of n by which
-#: that falls, to 1e-9. At these bounds, n = 64 to 2000, waves took 0.7 to 1 of the time of series of the same
-#: tolerance, and 0.8 to 1.1 of that of series of the same error, which is 1e-3 tolerances at 1e-5, of waves 1e-2.
-SIZE_OF_WAVES, TOL_OF_WAVES, FALL_OF_WAVES, LEAST_OF_WAVES = 64, 1e-6, 3.77, 1e-9
-#: The same where static friction is above the kinetic, so that each exit is a jump of friction and a kink in the F of
-#: others: 0.6 to 0.9 of the time of series of the same tolerance, 0.9 to 1.1 of that of the fastest, at 1e-5.
-SIZE_OF_JUMPS, TOL_OF_JUMPS, FALL_OF_JUMPS = 128, 2e-6, 2.6
-#: The entries a row of K from which that holds. With fewer an event is a local update by series: of grids, with 5, or
-#: at random, waves took 0.4 to 0.9 of the time at 1e-6 and above without static friction, 1.3 with it; of chains,
-#: with 3, and pairs of stiff blocks, 1.1 to 2.
-MANY_ENTRIES, SOME_ENTRIES, TOL_OF_SOME = 8, 4, 1e-6
-#: A dense K of so many blocks and fewer than `MANY_ENTRIES` a row counts as sparse if at most this share of the
-#: entries off the diagonal is not zero. Series then took 0.4 to 1 of the time.
-SIZE_OF_SPARSE, SPARSE = 64, 0.02
+#: that falls, to 1e-10; the same where static friction is above the kinetic, so that each exit is a jump of friction
+#: and a kink in the F of others.
+SIZE_OF_WAVES, TOL_OF_WAVES, FALL_OF_WAVES, LEAST_OF_WAVES = 64, 2e-6, 4.2, 1e-10
+TOL_OF_JUMPS, FALL_OF_JUMPS = 1.2e-5, 2.6
+#: The factor of that if the least damping is a smaller share of |eigenvalues|: F then swings, and events become rare,
+#: from which series take long steps.
+LIGHT, TOL_OF_LIGHT = 0.25, 10.0
+#: With fewer entries a row of K the least tolerance is this, and a lightly damped system is left to series, of which
+#: an event is a local update: of such chains, and pairs of blocks, waves took up to 9 times as long.
+MANY_ENTRIES, TOL_OF_FEW = 6, 1e-6
+#: Waves take longer to begin: below this n^3 times the length of a run, in units of 1 / |eigenvalue|, series are
+#: faster. A run of no more than `NO_LENGTH` is made as a long one, and loads its kernels.
+SHORT, NO_LENGTH = 5e7, 1e-3
+#: The largest share of entries of K of which products by sparse rows are faster in waves, and with which events are
+#: local updates in series, beside one entry a row.
+ROWS, LOCAL = 0.15, 0.02
 
 #: The loosest tolerance of series; a looser one counts as this. 1e-3 took 5 to 40% fewer products, in about the same
 #: time, but its errors hide short sticks of blocks that come back to touch the belt. With 1e-5, of systems of up to
@@ -111,30 +116,32 @@ class Coulomb(Engine):
         """The tolerance of a step of waveform relaxation."""
         return min(self.tol, LOOSEST_OF_WAVES) / self.accumulation(system, length)
 
-    def is_by_waves(self, system: System, length: float = 0.0) -> bool:
+    def is_by_waves(self, system: System, length: float = math.inf) -> bool:
         """Whether runs of a system are made by waveform relaxation, as far as they are not started at an event.
 
-        If K has eight entries a row, n is at least 64 and `tol` at least 1e-6 (118 blocks: 1e-7, 218: 1e-8, 400:
-        1e-9), or 128 and 2e-6 where static friction is above the kinetic (406: 1e-7), or K has four, without, and
-        `tol` is at least 1e-6 as well, the belts have constant speeds, one of which is not zero, there are no forces,
-        friction does not depend on the speed of slip, which may go to either side, and no block is heavily damped.
+        If n is at least 64 and `tol` at least 2e-6 (131 blocks: 1e-7, 392: 1e-9, 678: 1e-10), or, where static
+        friction is above the kinetic, 1.2e-5 (167: 1e-6, 404: 1e-7), ten times as much if damping is light; with
+        fewer than six entries a row of K, 1e-6 at least, and no light damping; if the run is not short, the belts
+        have constant speeds, one of which is not zero, there are no forces, friction does not depend on the speed of
+        slip, which may go to either side, and no block is heavily damped.
         Damping between blocks gives F a kink at each event of another block, which no
         polynomial over a macro step follows: such systems take series. `simulate` with `modes` takes series too, as
         does a start at which |F| is at static friction, and a run that this method cannot carry through. Of a run of
         this length, in which errors of steps add up where damping is weak, `tol` is that of a step.
         """
-        n = system.n
-        if n < SIZE_OF_WAVES or self.accumulation(system, length) > MOST_MEMORY:
+        n, phases = system.n, system.fastest_rate * length
+        if n < SIZE_OF_WAVES or (phases > NO_LENGTH and n**3 * phases < SHORT):
             return False
-        least = max(TOL_OF_WAVES * (SIZE_OF_WAVES / n) ** FALL_OF_WAVES, LEAST_OF_WAVES)
-        if system.is_static_above:
-            if n < SIZE_OF_JUMPS:
+        if self.accumulation(system, length) > MOST_MEMORY:
+            return False
+        is_above = system.is_static_above
+        tol, fall = (TOL_OF_JUMPS, FALL_OF_JUMPS) if is_above else (TOL_OF_WAVES, FALL_OF_WAVES)
+        is_light = system.least_damping < LIGHT * system.fastest_rate
+        least = max(tol * (SIZE_OF_WAVES / n) ** fall, LEAST_OF_WAVES) * (TOL_OF_LIGHT if is_light else 1.0)
+        if system.entries_a_row < MANY_ENTRIES:
+            if is_light:
                 return False
-            least = max(TOL_OF_JUMPS * (SIZE_OF_JUMPS / n) ** FALL_OF_JUMPS, least)
-        if (entries := system.entries_a_row) < MANY_ENTRIES:
-            if entries < SOME_ENTRIES or system.is_static_above:
-                return False
-            least = max(TOL_OF_SOME, least)
+            least = max(TOL_OF_FEW, least)
         if self.tol_of_waves(system, length) < 0.999 * least:
             return False
         if system.cross_damping is not None or system.changes:
@@ -146,12 +153,13 @@ class Coulomb(Engine):
         return not has_heavy(system)
 
     @staticmethod
-    def is_nearly_empty(system: System) -> bool:
-        """Whether K is a dense array that is run as a sparse one."""
-        if system.n < SIZE_OF_SPARSE or not isinstance(system.stiffness, np.ndarray):
-            return False
-        entries = system.entries_a_row
-        return entries < MANY_ENTRIES and entries <= 1.0 + SPARSE * system.n
+    def is_sparse(system: System, by_waves: bool) -> bool:
+        """Whether a method takes K as a sparse array, however it is stored."""
+        if by_waves:
+            return system.entries_a_row <= ROWS * system.n
+        if system.weakening is not None or system.force or system.changes:  # no update is local
+            return not isinstance(system.stiffness, np.ndarray)
+        return system.n >= SIZE_OF_WAVES and system.entries_a_row <= 1.0 + LOCAL * system.n
 
     @staticmethod
     def cost(rate: float, settings: Mapping[str, Any]) -> float:

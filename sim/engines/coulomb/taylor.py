@@ -311,51 +311,89 @@ def expand(
 
 
 @inner
-def _expand(
-    model: Model, expansion: Expansion, goal: Goal[float], state: State, target: float
-) -> tuple[int, float, float, int]:
-    """As `expand`; the order is 0 if it is to begin again, now that a block is known to leave."""
-    damping, friction, v = model.damping, model.friction, model.belt_speed
+def _begin(model: Model, expansion: Expansion, state: State) -> tuple[int, float]:
+    """The coefficients of z up to the second order.
+
+    Returns how many blocks are not decided yet, and what a force pushes in the next order.
+    """
+    damping, friction, v, t = model.damping, model.friction, model.belt_speed, state.clock[loop.TIME]
     series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
-    touching, sizes, shape = expansion.touching, expansion.sizes, expansion.shape
-    z, w, t, tol, rate = state.z, state.w, state.clock[loop.TIME], goal.tol, goal.rate
-    n = len(z)
-    for i in range(n):
-        if touching[i] or mode[i] == 0:
+    z, w = state.z, state.w
+    for i in range(len(z)):
+        if expansion.touching[i] or mode[i] == 0:
             w[i] = v[i]
     copy(z, series[0])
     copy(w, series[1])
     m = list_moving(series[0], series[1], expansion.room.columns)
     two_products(model.columns, model.pairs, expansion.room, m, series[:2], forces[:2])
-    forcing, weakening, pushed, pushed_next = model.forcing, model.weakening, 0.0, 0.0
-    begin(forcing, t)
-    for k in range(2):
-        pushed_next = take_off(forcing, t, k, forces[k])
+    begin(model.forcing, t)
+    take_off(model.forcing, t, 0, forces[0])
+    pushed = take_off(model.forcing, t, 1, forces[1])
     _drag_along(model.cross, series, 0, forces[0])
-    w_max = largest(w)
     n_undecided = settle(model, largest(z), expansion)
-    for i in range(n):
+    for i in range(len(z)):
         slips[i] = 1.0 if mode[i] != 0 else 0.0
         series[2, i] = -0.5 * slips[i] * (damping[i] * w[i] + forces[0, i] + friction[i] * mode[i])
-    _resist(weakening, shape, model, expansion, 0)
+    _resist(model.weakening, expansion.shape, model, expansion, 0)
+    return n_undecided, pushed
+
+
+@inner
+def _pull(model: Model, expansion: Expansion, k: int, m: int, may_be_single: bool, h: float, allowed: float) -> bool:
+    """K times the coefficients k and k + 1 of z, m of which move; returns whether single precision rounds them."""
+    series, forces, sizes = expansion.series[k : k + 2], expansion.forces[k : k + 2], expansion.sizes
+    if may_be_single and _may_be_single(model, k, sizes, h, allowed):
+        two_single_products(model.pairs, expansion.room, m, series, sizes, forces)
+        return max(sizes[0], sizes[1]) > 0.0  # products of nothing are exact
+    two_products(model.columns, model.pairs, expansion.room, m, series, forces)
+    return False
+
+
+@inner
+def _extend(model: Model, expansion: Expansion, k: int) -> float:
+    """The coefficients k + 2 of z, from those of F; returns the largest."""
+    series, forces, slips, damping = expansion.series, expansion.forces, expansion.slips, model.damping
+    factor, sizes = -1.0 / ((k + 2) * (k + 1)), expansion.sizes
+    for i in range(len(slips)):
+        series[k + 2, i] = slips[i] * factor * (damping[i] * (k + 1) * series[k + 1, i] + forces[k, i])
+    _resist(model.weakening, expansion.shape, model, expansion, k)
+    sizes[0], sizes[1] = sizes[1], largest(series[k + 2])
+    return sizes[1]
+
+
+@inner
+def _known_step(
+    model: Model, expansion: Expansion, order: int, last: float, before: float, target: float, allowed: float
+) -> float:
+    """The step, at most `target`, on which the last two terms, of these sizes, and friction are as allowed."""
+    h = target
+    if last > 0.0:
+        h = min(h, (allowed / (order * last)) ** (1.0 / (order - 1)))
+    if before > 0.0:
+        h = min(h, (allowed / ((order - 1) * before)) ** (1.0 / (order - 2)))
+    while h > 0.0 and not _is_friction_known(model.weakening, expansion.shape, model, expansion, order, h, allowed):
+        h *= control.SHRINK
+    return h
+
+
+@inner
+def _expand(
+    model: Model, expansion: Expansion, goal: Goal[float], state: State, target: float
+) -> tuple[int, float, float, int]:
+    """As `expand`; the order is 0 if it is to begin again, now that a block is known to leave."""
+    series, forces, slips, sizes = expansion.series, expansion.forces, expansion.slips, expansion.sizes
+    shape, weakening, forcing, t = expansion.shape, model.weakening, model.forcing, state.clock[loop.TIME]
+    n_undecided, pushed_next = _begin(model, expansion, state)
     target = min(target, _known_within(weakening, shape, expansion))
     # the error of w allowed in this step: relative to w, the belt and the change of w; that of z is then smaller
-    allowed = tol * max(w_max, fastest_belt(model), 2.0 * largest(series[2]) * target)
-    allowed = max(allowed, tol * target * may_change(forcing, t, target), control.LEAST_ALLOWED)
-
-    n_small = 0
-    last = 0.0
+    allowed = goal.tol * max(largest(state.w), fastest_belt(model), 2.0 * largest(series[2]) * target)
+    allowed = max(allowed, goal.tol * target * may_change(forcing, t, target), control.LEAST_ALLOWED)
+    n_small, last, before, pushed, is_single, m = 0, 0.0, 0.0, 0.0, False, -1
     sizes[1] = largest(series[2])
-    is_single, m = False, -1
     for k in range(1, control.ORDER_MAX - 1):
         if k % 2 == 0:
-            if m < 0:
-                m = list_moving(slips, slips, expansion.room.columns)
-            if n_undecided == 0 and _may_be_single(model, k, sizes, target, allowed):
-                is_single = is_single or max(sizes[0], sizes[1]) > 0.0  # products of nothing are exact
-                two_single_products(model.pairs, expansion.room, m, series[k : k + 2], sizes, forces[k : k + 2])
-            else:
-                two_products(model.columns, model.pairs, expansion.room, m, series[k : k + 2], forces[k : k + 2])
+            m = list_moving(slips, slips, expansion.room.columns) if m < 0 else m
+            is_single = _pull(model, expansion, k, m, n_undecided == 0, target, allowed) or is_single
             pushed = take_off(forcing, t, k, forces[k])
             pushed_next = take_off(forcing, t, k + 1, forces[k + 1])
         else:
@@ -365,27 +403,20 @@ def _expand(
             n_decided, is_repeated = settle_by_order(model, k, largest(series[k]), expansion)
             if is_repeated:
                 return 0, 0.0, 0.0, _products_to(model, k)
-            n_undecided -= n_decided
-            for i in range(n):
-                slips[i] = 1.0 if mode[i] != 0 else 0.0
-            m = -1
+            n_undecided, m = n_undecided - n_decided, -1
+            for i in range(len(slips)):
+                slips[i] = 1.0 if expansion.mode[i] != 0 else 0.0
             if k == 1:
                 sizes[1] = largest(series[2])
-        factor = -1.0 / ((k + 2) * (k + 1))
-        for i in range(n):
-            series[k + 2, i] = slips[i] * factor * (damping[i] * (k + 1) * series[k + 1, i] + forces[k, i])
-        _resist(weakening, shape, model, expansion, k)
-        size = largest(series[k + 2])
-        sizes[0], sizes[1] = sizes[1], size
-        order = k + 2
+        size, order = _extend(model, expansion, k), k + 2
         if order > control.ORDER_MIN and not size < control.HUGE:  # the terms before it determine the step
             order -= 1
             break
-        if order > control.ORDER_MIN and 0.0 < size * min(1.0, rate * rate) < control.FAINT:
+        if order > control.ORDER_MIN and 0.0 < size * min(1.0, goal.rate * goal.rate) < control.FAINT:
             before, last = last, max(size, control.FAINT)
             break
         if pushed > 0.0:  # the truncated series of a force counts where it moves a block, and where friction holds it
-            size = max(size, pushed * max(1.0 / (order * (order - 1)), 1.0 / (order * (rate * target) ** 2)))
+            size = max(size, pushed * max(1.0 / (order * (order - 1)), 1.0 / (order * (goal.rate * target) ** 2)))
         n_products = _products_to(model, k)
         # the last term of w decides; two in a row, since one can vanish by chance
         is_polynomial = size == 0.0 and last == 0.0 and order >= control.ORDER_MIN
@@ -395,24 +426,13 @@ def _expand(
             speed = max(largest(forces[1]), largest(series[2]))
             far = goal.t_end - t if speed == 0.0 else min(goal.t_end - t, control.FAR / speed)
             return order, far if is_exact else target, allowed, n_products
-        if order * size * target ** (order - 1) <= allowed:
-            n_small += 1
-            # below order = rate * target the terms of a small state may still rise
-            is_enough = n_small >= 2 and n_undecided == 0 and order >= max(control.ORDER_MIN, rate * target)
-            if is_enough and _is_friction_known(weakening, shape, model, expansion, order, target, allowed):
-                return order, target, allowed, n_products
-        else:
-            n_small = 0
-        before = last
-        last = size
-    h = target
-    if last > 0.0:
-        h = min(h, (allowed / (order * last)) ** (1.0 / (order - 1)))
-    if before > 0.0:
-        h = min(h, (allowed / ((order - 1) * before)) ** (1.0 / (order - 2)))
-    while h > 0.0 and not _is_friction_known(weakening, shape, model, expansion, order, h, allowed):
-        h *= control.SHRINK
-    return order, h, allowed, n_products
+        n_small = n_small + 1 if order * size * target ** (order - 1) <= allowed else 0
+        # below order = rate * target the terms of a small state may still rise
+        is_enough = n_small >= 2 and n_undecided == 0 and order >= max(control.ORDER_MIN, goal.rate * target)
+        if is_enough and _is_friction_known(weakening, shape, model, expansion, order, target, allowed):
+            return order, target, allowed, n_products
+        before, last = last, size
+    return order, _known_step(model, expansion, order, last, before, target, allowed), allowed, n_products
 
 
 @inner

@@ -52,6 +52,7 @@ class _Waves(WaveformRuns):
     """Of one task."""
 
     kernel, tells_touches, method = staticmethod(advance), True, "waveform relaxation"
+    is_of_one_type = True
     stalled = "a step fell to the rounding of time"
     safety, longest = 1.0, np.inf
 
@@ -101,8 +102,6 @@ def run(task: Task, tol: float, followed: float, otherwise: Callable[[], Run]) -
     otherwise : callable
         Runs it by series.
     """
-    if task.modes is not None:
-        return otherwise()
     waves = _Waves(task, tol, followed)
     if waves.is_on_edge:
         return otherwise()
