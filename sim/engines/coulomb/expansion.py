@@ -52,10 +52,8 @@ class Expansion(NamedTuple):
     side: NDArray[np.int64]  #: of the interval |F| < m at which F is; 0: at neither
     column: Floats
     last: Floats
-    more: Floats
     pull: Floats  #: the coefficients of F - R v of one block
     change: Floats
-    passed: Floats  #: of what others pass on: their first two coefficients, and K times these
     sizes: Floats
     steps: Floats  #: how far a block is from the origin of its series
     values: Floats  #: value and slope of its series there
@@ -77,12 +75,12 @@ def _workspace(n: int, n_shapes: int, thread: int) -> Expansion:
     """What runs of a thread share: for a small system it takes longer to make than a run."""
     orders = control.ORDER_MAX + 1
     series, forces = np.full((2, orders, n), np.nan)  # a coefficient used before it was computed would show
-    stuck_z, slips, column, last, more, steps = np.zeros((6, n))
+    stuck_z, slips, column, last, steps = np.zeros((5, n))
     zeros, side = np.zeros((2, n), np.int64)
     pull, change = np.zeros((2, orders))
-    no_mode, passed, values = np.zeros((0, n), np.int8), np.zeros((2, 2, n)), np.zeros((2, n))
+    no_mode, values = np.zeros((0, n), np.int8), np.zeros((2, n))
     shape = Shape(np.full((n_shapes, orders, n), np.nan), *np.zeros((2, n))) if n_shapes else None
     return Expansion(
-        series, forces, stuck_z, no_mode, slips, no_mode != 0, no_mode, zeros, side, column, last, more, pull, change,
-        passed, np.zeros(2), steps, values, shape, Room.of(n),
+        series, forces, stuck_z, no_mode, slips, no_mode != 0, no_mode, zeros, side, column, last, pull, change,
+        np.zeros(2), steps, values, shape, Room.of(n),
     )  # fmt: skip

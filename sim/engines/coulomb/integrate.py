@@ -163,7 +163,7 @@ class _Runs(Several):
             _refuse_closed(closed * u[0], float(self.tols[0]) * first.fastest_belt)
             mode[mode * closed > 0] = 0
         exposures = [
-            (1.0 / rate if rate > 0 else max(task.t_end - task.t_start, 1.0), 1.0, 0.0)
+            (1.0 / rate if rate > 0 else max(task.t_end - task.t_start, 1.0), 1.0)
             for rate, task in zip(self.rates.tolist(), tasks, strict=True)
         ]
         self.states, self.searches = State.at_start(tasks, mode, exposures), Search.of(mode)

@@ -167,8 +167,7 @@ def _pass_event(
     if _on_the_edge(model, expansion, work.search.near, z_max, w, block, order, 0.0, True) > 1:
         return 0.0
     of_series = Series(order, window.span, window.allowed, z_max)
-    h, n_products = correct(model, expansion, block, of_series, left, goal.rate, state.clock)
-    state.counters[loop.N_PRODUCTS] += n_products
+    h = correct(model, expansion, block, of_series, left, goal.rate)
     expansion.touching[block] = mode[block] != 0  # so that a new expansion, if it comes first, decides the same
     return h
 
@@ -203,11 +202,10 @@ def _carry(
     age, left = window.age + step, window.left - step
     of_series = Series(order, window.span, window.allowed, 0.0)
     clock[loop.ERROR] = error_after(model, expansion, goal, of_series, age, window.error)
-    is_linear = model.weakening is None and not window.is_slow
-    if block >= 0 and left > 0.0 and is_linear and model.cross is None:
+    is_linear = model.weakening is None and not window.is_slow and model.cross is None
+    if block >= 0 and left > 0.0 and is_linear and len(z) >= control.CARRIED:
         h = _pass_event(model, work, goal, state, window, block, step, left)
         is_cut, is_open = window.is_cut or h < left, control.is_worth_using(clock, h)
-        clock[control.CARRIED] += 1.0 if is_open else 0.0
     else:
         evaluate(expansion, v, None, order, step, z, w)
         _on_the_edge(model, expansion, noise, 0.0, w, block, order, step, False)

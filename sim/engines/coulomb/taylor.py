@@ -569,57 +569,38 @@ def _change_own(model: Model, expansion: Expansion, i: int, new: int, order: int
 
 
 @inner
-def _change_others(
-    model: Model, expansion: Expansion, order: int, h: float, limit: float, may_take_product: bool
-) -> tuple[float, int]:
+def _change_others(model: Model, expansion: Expansion, order: int, h: float, limit: float) -> float:
     """The series of the others from an event on, by its block's `change` and `column`, whose own entry is zero.
 
-    Returns the time until what is left out makes an error of w at the limit, at most h, and the number of products.
+    Returns the time until what is left out makes an error of w at the limit, at most h.
     """
     series, slips, damping, last = expansion.series, expansion.slips, model.damping, expansion.last
-    column, change, more = expansion.column, expansion.change, expansion.more
-    passed, sizes, n = expansion.passed, expansion.sizes, len(last)
+    column, change = expansion.column, expansion.change
     last[:] = 0.0
-    row_sum, passed_on, power, degree, n_products = largest(model.row_sums), 0.0, h**5, 5.0, 0
+    passed_on, power = 0.0, h**5
     for k in range(2, order - 1):
-        error = row_sum * passed_on / degree  # grows like h^degree
-        if k == 4 and may_take_product and limit < error < limit / SINGLE_ERROR:
-            sizes[0], sizes[1] = largest(passed[0, 0]), largest(passed[0, 1])
-            if _are_in_range(sizes[0], sizes[1]):
-                m = list_moving(passed[0, 0], passed[0, 1], expansion.room.columns)
-                two_single_products(model.pairs, expansion.room, m, passed[0], sizes, passed[1])
-                passed_on, degree, n_products = 0.0, 7.0, 2
-        for j in range(n):
-            more[j] = column[j] * change[k]
-        if n_products > 0 and k < 6:
-            for j in range(n):
-                more[j] += passed[1, k - 4, j]
         factor = -1.0 / ((k + 2) * (k + 1))
-        for j in range(n):
-            last[j] = slips[j] * factor * (damping[j] * (k + 1) * last[j] + more[j])
-            series[k, j] += (1.0 - slips[j]) * more[j]
+        for j in range(len(last)):
+            more = column[j] * change[k]
+            last[j] = slips[j] * factor * (damping[j] * (k + 1) * last[j] + more)
+            series[k, j] += (1.0 - slips[j]) * more
             series[k + 2, j] += last[j]
-        if k < 4:
-            copy(last, passed[0, k - 2])
         passed_on += largest(last) * power
         power *= h
-    error = row_sum * passed_on / degree
-    return h if error <= limit else h * (limit / error) ** (1.0 / degree), n_products
+    error = largest(model.row_sums) * passed_on / 5.0  # grows like h^5
+    return h if error <= limit else h * (limit / error) ** 0.2
 
 
 @inner
-def correct(
-    model: Model, expansion: Expansion, block: int, window: Window, h: float, rate: float, clock: Floats
-) -> tuple[float, int]:
+def correct(model: Model, expansion: Expansion, block: int, window: Window, h: float, rate: float) -> float:
     """Carry the series over an event of one block, without a new expansion.
 
     From the event on, block i moves by its new equation, z_i + delta, where delta starts at second order. The others
     feel K_ji delta, from fourth order on. What they pass on in turn is left out and bounded: its effect on w grows
-    like h^5, and h is cut to where that stays below the tolerance. Where it would be, and windows have few events, K
-    times the first two coefficients of the others is included, and what is left out grows like h^7.
+    like h^5, and h is cut to where that stays below the tolerance.
 
-    Returns that h, and how many products that took; 0 if the event cannot be decided to the accuracy of the series
-    (then nothing has changed, and a new expansion decides).
+    Returns that h; 0 if the event cannot be decided to the accuracy of the series (then nothing has changed, and a
+    new expansion decides).
     """
     series, mode, column, pull = expansion.series, expansion.mode, expansion.column, expansion.pull
     i, order, allowed = block, window.order, window.allowed
@@ -628,7 +609,7 @@ def correct(
     force = model.damping[i] * model.belt_speed[i] + pull[0]
     new = decide(model, i, was_stuck, force, pull[1], window, rate)
     if new == UNDECIDED:
-        return 0.0, 0
+        return 0.0
     _copy_column(model.columns, i, column)
     diagonal = column[i]
     column[i] = 0.0
@@ -637,12 +618,9 @@ def correct(
     expansion.side[:] = 0
     if new != 0:
         expansion.zeros[i] = 2 if was_stuck and model.static[i] == model.friction[i] else 1
-    # in double precision, for few blocks, they gained nothing
-    may_take_product = len(model.pairs.single_panels) > 0 and control.pays_to_pass_on(clock)
-    limit = control.PASSED_ON * allowed
-    h, n_products = _change_others(model, expansion, order, h, limit, may_take_product)
+    h = _change_others(model, expansion, order, h, control.PASSED_ON * allowed)
     for k in (order, order - 1):  # two, since one can vanish by parity, as in `expand`
         tail = k * abs(series[k, i]) * h ** (k - 1)
         if tail > allowed:
             h *= (allowed / tail) ** (1.0 / (k - 1))
-    return h, n_products
+    return h
