@@ -19,6 +19,7 @@ from scipy.integrate import ODEintWarning, odeint
 from scipy.linalg import eig
 
 from stickslip.sim import IntegrationError, Run, simulate
+from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb import settings as coulomb
 from stickslip.sim.numerics import products
 from tests.fuzz.draw import Trial, by_waves, draw, longest
@@ -382,8 +383,8 @@ class _Judge:
         self.hold("plain", run, truth)
         verdict.notes["by series"] += self.trial.is_by_waves and run.stats.method == "Taylor series"
         if self.is_exact and not self.trial.is_by_waves:
-            with patch.object(products, "_SMALL", 1):  # by default only larger systems have such products
-                self.hold("in float32", self.run("in float32", truth, t_eval=self.times), truth)
+            with patch.object(products, "_SMALL", 1), patch.object(control, "CARRIED", 1):
+                self.hold("as a large one", self.run("as a large one", truth, t_eval=self.times), truth)
         self.hold("stop_early=False", self.run("stop_early=False", truth, t_eval=self.times, stop_early=False), truth)
         bare = self.run("without samples", truth)
         if bare and not (np.array_equal(bare.z, run.z) and np.array_equal(bare.events.t, run.events.t)):

@@ -1,7 +1,4 @@
-"""Runs are the same whatever makes the products: panels in float64, in float32, or sparse columns.
-
-Where there is float32, the exact engine also takes the products of what blocks pass on at an event.
-"""
+"""Runs are the same whatever makes the products: panels in float64, in float32, or sparse columns."""
 
 from functools import reduce
 
@@ -9,25 +6,9 @@ import numpy as np
 import pytest
 from scipy.sparse import csc_array
 
-from stickslip.sim import draw_system, simulate
-from stickslip.sim.numerics import products
+from stickslip.sim import simulate
 from tests.independent import Case
 from tests.systems import draw_case, made
-
-
-def test_what_others_pass_on_makes_windows_longer(monkeypatch, rng):
-    """With 200 blocks a run takes 0.86 to 0.88 of the steps, with the same events and within its tolerance."""
-    system = draw_system("antisymmetric", 200, seed=int(rng.integers(2**32)))
-    runs = []
-    for smallest in (1, 1000):
-        monkeypatch.setattr(products, "_SMALL", smallest)
-        runs.append(simulate(system.changed(), -0.7, -0.4, 60.0, tol=1e-8, stop_early=False))
-    passing, without = runs
-    assert passing.stats.n_steps < 0.95 * without.stats.n_steps
-    for name in ("block", "mode"):
-        of_each = [getattr(run.events, name)[run.events.by_block] for run in runs]
-        np.testing.assert_array_equal(*of_each)
-    np.testing.assert_allclose(passing.z, without.z, rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize(

@@ -46,9 +46,7 @@ class Expansion(NamedTuple):
     slips: Floats  #: 1 where a block slips, else 0
     touching: NDArray[np.bool_]  #: whether a block slips with w = v, so that it is to be decided
     leaves: NDArray[np.int8]  #: the side to which a block that could stick leaves, if that is known, else 0
-    zeros: NDArray[
-        np.int64
-    ]  #: how many leading coefficients of its event function vanish; if it sticks, on its `side`
+    zeros: NDArray[np.int64]  #: leading coefficients of its event function that vanish; if it sticks, on its `side`
     side: NDArray[np.int64]  #: of the interval |F| < m at which F is; 0: at neither
     column: Floats
     last: Floats

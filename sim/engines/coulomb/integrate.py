@@ -60,10 +60,8 @@ def runs(tasks: Sequence[Task], engine: Coulomb) -> list[Callable[[], Run]]:
     def together(group: list[Task]) -> _Runs | None:
         return _Runs(group, engine) if _may_begin_together(group, engine) else None
 
-    def stored(task: Task) -> Task:
-        return _stored(task, engine, _is_by_waves(task, engine))
-
-    return stacks.runs([*map(stored, tasks)], together, partial(alone, engine))
+    stored = [_stored(task, engine, _is_by_waves(task, engine)) for task in tasks]
+    return stacks.runs(stored, together, partial(alone, engine))
 
 
 def _is_by_waves(task: Task, engine: Coulomb) -> bool:

@@ -14,11 +14,9 @@ from stickslip.sim.engines.tolerances import TOL
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.system import System
 
-# Which method is faster, by `python -m tests.picks`.
-
 #: The fewest blocks from which waveform relaxation is faster, the least tolerance there, and the power of n by which
-#: that falls, to 1e-10; the same where static friction is above the kinetic, so that each exit is a jump of friction
-#: and a kink in the F of others.
+#: that falls, to 1e-10, by `python -m tests.picks`; the same where static friction is above the kinetic, so that each
+#: exit is a jump of friction and a kink in the F of others.
 SIZE_OF_WAVES, TOL_OF_WAVES, FALL_OF_WAVES, LEAST_OF_WAVES = 64, 2e-6, 4.2, 1e-10
 TOL_OF_JUMPS, FALL_OF_JUMPS = 1.2e-5, 2.6
 #: The factor of that if the least damping is a smaller share of |eigenvalues|: F then swings, and events become rare,
@@ -123,28 +121,25 @@ class Coulomb(Engine):
         friction is above the kinetic, 1.2e-5 (167: 1e-6, 404: 1e-7), ten times as much if damping is light; with
         fewer than six entries a row of K, 1e-6 at least, and no light damping; if the run is not short, the belts
         have constant speeds, one of which is not zero, there are no forces, friction does not depend on the speed of
-        slip, which may go to either side, and no block is heavily damped.
-        Damping between blocks gives F a kink at each event of another block, which no
-        polynomial over a macro step follows: such systems take series. `simulate` with `modes` takes series too, as
-        does a start at which |F| is at static friction, and a run that this method cannot carry through. Of a run of
-        this length, in which errors of steps add up where damping is weak, `tol` is that of a step.
+        slip, which may go to either side, and no block is heavily damped. Damping between blocks gives F a kink at
+        each event of another block, which no polynomial over a macro step follows: such systems take series, as do
+        `simulate` with `modes`, a start at which |F| is at static friction, and a run that this method cannot carry
+        through. Of a run of this length, in which errors of steps add up where damping is weak, `tol` is that of a
+        step.
         """
         n, phases = system.n, system.fastest_rate * length
-        if n < SIZE_OF_WAVES or (phases > NO_LENGTH and n**3 * phases < SHORT):
+        is_short = phases > NO_LENGTH and n**3 * phases < SHORT
+        if n < SIZE_OF_WAVES or is_short or self.accumulation(system, length) > MOST_MEMORY:
             return False
-        if self.accumulation(system, length) > MOST_MEMORY:
-            return False
-        is_above = system.is_static_above
-        tol, fall = (TOL_OF_JUMPS, FALL_OF_JUMPS) if is_above else (TOL_OF_WAVES, FALL_OF_WAVES)
+        of_jumps, of_others = (TOL_OF_JUMPS, FALL_OF_JUMPS), (TOL_OF_WAVES, FALL_OF_WAVES)
+        tol, fall = of_jumps if system.is_static_above else of_others
         is_light = system.least_damping < LIGHT * system.fastest_rate
         least = max(tol * (SIZE_OF_WAVES / n) ** fall, LEAST_OF_WAVES) * (TOL_OF_LIGHT if is_light else 1.0)
         if system.entries_a_row < MANY_ENTRIES:
             if is_light:
                 return False
             least = max(TOL_OF_FEW, least)
-        if self.tol_of_waves(system, length) < 0.999 * least:
-            return False
-        if system.cross_damping is not None or system.changes:
+        if self.tol_of_waves(system, length) < 0.999 * least or system.cross_damping is not None or system.changes:
             return False
         if system.force or system.weakening is not None or not system.back_slip or system.fastest_belt == 0.0:
             return False

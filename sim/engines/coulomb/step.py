@@ -203,7 +203,7 @@ def _carry(
     of_series = Series(order, window.span, window.allowed, 0.0)
     clock[loop.ERROR] = error_after(model, expansion, goal, of_series, age, window.error)
     is_linear = model.weakening is None and not window.is_slow and model.cross is None
-    if block >= 0 and left > 0.0 and is_linear and len(z) >= control.CARRIED:
+    if block >= 0 and left > 0.0 and is_linear and model.carries:
         h = _pass_event(model, work, goal, state, window, block, step, left)
         is_cut, is_open = window.is_cut or h < left, control.is_worth_using(clock, h)
     else:

@@ -262,13 +262,9 @@ def _may_be_single(model: Model, k: int, sizes: Floats, h: float, allowed: float
         return False
     power = SINGLE_ERROR * h**k * max(1.0 / h, largest(model.row_sums) * h)
     low, high = sizes[0], h * sizes[1]
-    return _are_in_range(low, high) and power * max(low, high) <= control.ROUNDED_OFF * allowed
-
-
-@inner
-def _are_in_range(low: float, high: float) -> bool:
-    """Whether vectors of these sizes can be scaled for products in single precision."""
-    return (low == 0.0 or low > control.TINY) and (high == 0.0 or high > control.TINY)
+    if 0.0 < low <= control.TINY or 0.0 < high <= control.TINY:  # they cannot be scaled
+        return False
+    return power * max(low, high) <= control.ROUNDED_OFF * allowed
 
 
 @inner
