@@ -124,15 +124,13 @@ class Coulomb(Engine):
         slip, which may go to either side, and no block is heavily damped. Damping between blocks gives F a kink at
         each event of another block, which no polynomial over a macro step follows: such systems take series, as do
         `simulate` with `modes`, a start at which |F| is at static friction, and a run that this method cannot carry
-        through. Of a run of this length, in which errors of steps add up where damping is weak, `tol` is that of a
-        step.
+        through. Over this length errors of steps add up where damping is weak, and `tol` is that of a step.
         """
         n, phases = system.n, system.fastest_rate * length
         is_short = phases > NO_LENGTH and n**3 * phases < SHORT
         if n < SIZE_OF_WAVES or is_short or self.accumulation(system, length) > MOST_MEMORY:
             return False
-        of_jumps, of_others = (TOL_OF_JUMPS, FALL_OF_JUMPS), (TOL_OF_WAVES, FALL_OF_WAVES)
-        tol, fall = of_jumps if system.is_static_above else of_others
+        tol, fall = (TOL_OF_JUMPS, FALL_OF_JUMPS) if system.is_static_above else (TOL_OF_WAVES, FALL_OF_WAVES)
         is_light = system.least_damping < LIGHT * system.fastest_rate
         least = max(tol * (SIZE_OF_WAVES / n) ** fall, LEAST_OF_WAVES) * (TOL_OF_LIGHT if is_light else 1.0)
         if system.entries_a_row < MANY_ENTRIES:
