@@ -17,7 +17,7 @@ BOUND = 20.0  # error over the tolerance, the largest speed and the sensitivity
 WAVES, SERIES = "waveform relaxation", "Taylor series"
 
 
-SHORT, LIGHT = settings.SHORT, settings.LIGHT
+SHORT, LIGHT, STORAGE = settings.SHORT, settings.LIGHT, settings.Coulomb.is_sparse
 
 
 @pytest.fixture(autouse=True)
@@ -272,10 +272,8 @@ def test_what_it_does_not_take_is_run_by_series(kind):
     assert simulate(system, 0.1, "belt", 0.5, tol=1e-5).stats.method == SERIES
 
 
-def test_a_sparse_array_of_many_entries_a_row_is_run_as_the_dense_one(monkeypatch, rng):
+def test_a_sparse_array_of_many_entries_a_row_is_run_as_the_dense_one(rng):
     """Their products differ by rounding, and those of the dense one are in single precision after the first."""
-    as_stored = staticmethod(lambda system, _: not isinstance(system.stiffness, np.ndarray))
-    monkeypatch.setattr(settings.Coulomb, "is_sparse", as_stored)
     system, z0, w0 = large(rng, 128)
     stiffness = np.where(rng.random((128, 128)) < 0.1, system.stiffness, 0.0) + np.diag(system.stiffness.diagonal())
     sparse = system.changed(stiffness=csc_array(stiffness))
@@ -335,6 +333,7 @@ def test_short_runs_are_left_to_series_and_lightly_damped_ones_at_tight_toleranc
 def test_storage_of_k_decides_nothing(monkeypatch, rng):
     """A chain, and a K of all entries: the same to the last bit, by local updates and without."""
     monkeypatch.setattr(settings, "LIGHT", LIGHT)
+    monkeypatch.setattr(settings.Coulomb, "is_sparse", staticmethod(STORAGE))
     for n, method, stiffness in (
         (120, SERIES, 2.0 * np.eye(120) - np.eye(120, k=1) - np.eye(120, k=-1)),
         (20, SERIES, np.eye(20) + rng.normal(size=(20, 20)) / 20.0),

@@ -150,8 +150,8 @@ class Coulomb(Engine):
         """Whether a method takes K as a sparse array, however it is stored."""
         if by_waves:
             return system.entries_a_row <= ROWS * system.n
-        if system.weakening is not None or system.force or system.changes:  # no update is local
-            return not isinstance(system.stiffness, np.ndarray)
+        if system.weakening is not None or system.force or system.changes or system.cross_damping is not None:
+            return not isinstance(system.stiffness, np.ndarray)  # events are no local updates, or nothing else
         return system.n >= SIZE_OF_WAVES and system.entries_a_row <= 1.0 + LOCAL * system.n
 
     @staticmethod
