@@ -40,7 +40,7 @@ from stickslip.analysis.findings.numbers import bare, decimals, is_exact, number
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.stats.estimates import Estimate
 
-MOST_WORDS = 25  # of a first sentence; signs and numbers count
+MOST_WORDS = 25  # of a first sentence; signs count, and a number with its power of ten as one
 
 #: What a finding says: each can be a sentence of its own, and the first is the answer.
 Clauses: TypeAlias = tuple[str, ...]
@@ -69,7 +69,7 @@ def sentence(finding: Finding) -> str:
 
 
 def _fits(text: str) -> bool:
-    return text.count(" ") < MOST_WORDS
+    return text.replace(" \u00d7 ", "").count(" ") < MOST_WORDS
 
 
 def _forms(finding: Statement) -> Iterator[tuple[Clauses, Clauses]]:
