@@ -193,7 +193,7 @@ def _share(share: Share, is_brief: bool) -> Clauses:
     return f"{words}, consistent with {comparison.other}", f"the difference is {difference}"
 
 
-def _amount(share: Estimate, n: int | None, things: str, basis: Basis | None) -> str:
+def _amount(share: Estimate, n: int | None, things: str, basis: Basis | None = None) -> str:
     """How many of n things: "80% (38 to 96%) of 5 runs", "all 40 runs of 20 systems (at least 84%)"."""
     count = f"{n:,} {things}" if n is not None and n > 1 else things
     if n is not None and basis is not None and 1 < basis.n < n and things != f"{basis.unit}s":
@@ -580,7 +580,7 @@ def _regime(regime: Regime) -> Clauses:
         return (f"{head}{things} {verb}",)
     amount = f"{regime.n:,} of {regime.of:,} {things}"
     if share.low is not None or regime.n == regime.of:
-        amount = _amount(share, regime.of, things, regime.basis)
+        amount = _amount(share, regime.of, things)
     return f"{head}{amount} {verb}", *((f"the others {listed(others, 'or')}",) if others else ())
 
 

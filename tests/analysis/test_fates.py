@@ -225,7 +225,7 @@ def test_fates_are_kept_apart(planted):
     assert found["sliding", ""].estimate.value == pytest.approx(6 / 20)
     assert found["escaping", ""].estimate.value == pytest.approx(3 / 20)
     assert sentence(answered.findings[0]) == "45% (26 to 74%) of runs still stick and slip at t = 1000."
-    assert found["sliding", ""].predicate == "settle into steady sliding (2 sliding so far)"
+    assert found["sliding", ""].predicate == "slide steadily at t = 1000 (2 only so far)"
     assert codes(answered)[Code.FAILED] == {"n": 1, "of": 21}
     assert codes(answered)[Code.UNCERTIFIED] == {"n": 2, "of": 20}
 
@@ -255,7 +255,7 @@ def test_a_certificate_that_is_late_is_no_other_fate(planted):
     exact, smooth = of_kind(answered, Lifetime)
     assert (exact.estimate.value, exact.estimate.low, exact.estimate.high) == (59.0, 55.0, 64.0)
     assert (smooth.estimate.value, smooth.estimate.low, smooth.estimate.high) == (59.0, 55.0, None)
-    predicates = ["settle into steady sliding", "settle into steady sliding (11 sliding so far)"]
+    predicates = ["settle into steady sliding", "slide steadily at t = 1000 (11 only so far)"]
     assert [share.predicate for share in of_kind(answered, Share)][:2] == predicates
     assert codes(answered)[Code.UNCERTIFIED] == {"n": 11, "of": 40}
 
@@ -282,7 +282,7 @@ def test_a_run_that_has_not_moved_is_not_in_motion(planted):
         for k, name in enumerate(data.series)
     }
     answered = asked(Data(data.members, series))
-    assert sentence(answered.findings[0]) == "All 20 runs (83.9 to 100.0%) are stuck at t = 1000."
+    assert sentence(answered.findings[0]) == "All 20 runs (at least 83.9%) are stuck at t = 1000."
     assert fate("finished", series["200-0"], 1000.0, n=200) == UNMOVED
     assert fate("finished", series["200-0"], 1000.0, n=201) == SUSTAINED
 
@@ -435,8 +435,8 @@ def test_sizes_are_grouped_by_what_all_their_runs_do(planted):
 def test_many_changes_along_a_key_are_counted(planted):
     by_turns = {n: [COLLAPSED if k % 2 else SUSTAINED] * 4 for k, n in enumerate(range(10, 80, 10))}
     assert regimes_of(asked(of_sizes(planted, by_turns))) == [
-        "At 4 of 7 values of n: all 16 runs (51 to 100%) still stick and slip at t = 1000.",
-        "At n = 20, 40 and 60, all 12 runs (51 to 100%) settle into steady sliding.",
+        "At 4 of 7 values of n: all 16 runs (at least 51%) still stick and slip at t = 1000.",
+        "At n = 20, 40 and 60, all 12 runs (at least 51%) settle into steady sliding.",
     ]
 
 

@@ -121,7 +121,7 @@ def test_of_runs_that_ended_it_says_how_copies_end(rng, planted, settings):
     assert isinstance(otherwise, Share)
     assert (otherwise.estimate.value, otherwise.basis.n) == (0.25, MATRICES)
     assert otherwise.estimate.low > 0.1
-    assert shift.quantity.name == "median shift of the last event"
+    assert shift.quantity.name == "median absolute shift of the last event"
     assert (shift.estimate.value, shift.estimate.low, shift.estimate.high) == pytest.approx((1, 1, 1))
 
 
