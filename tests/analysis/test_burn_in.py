@@ -155,7 +155,7 @@ def test_an_alert_says_that_t_burn_is_too_short(planted, settings, rng):
     found = fates.answer(Study(ensemble(planted, rng, 100.0), settings))
     assert dict(found.alerts[0].numbers) == {
         "what": "The number of sticking blocks",
-        "where": " at n = 200, exact",
+        "where": " (n = 200, exact)",
         "t_burn": 100.0,
     }
     assert "by_t_burn" in found.figures

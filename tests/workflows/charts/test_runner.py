@@ -164,7 +164,7 @@ def test_a_count_has_two_digits(value, words):
 
 def test_minus_signs():
     assert formats.minus("v = -0.5, (-1, .5), 1e-06, fixed-step, {+, -}") == (
-        "v = −0.5, (−1, .5), 1e-06, fixed-step, {+, -}"
+        "v = −0.5, (−1, .5), 1e-06, fixed-step, {+, −}"
     )
 
 
