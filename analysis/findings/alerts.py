@@ -13,20 +13,20 @@ class Code(Enum):
     Rank 1 says what makes numbers wrong, 2 what they refer to, 3 what weakens them.
     """
 
-    FAILED = 1, "{n} of {of} runs failed and are left out."
+    FAILED = 1, "{n:,} of {of:,} runs failed and are left out."
     DRIFT = 1, "{what}{where} still drifts after t_burn = {t_burn:g}: raise t_burn."
-    DIVERGED = 2, "The motion grew without limit in {n} of {of} runs{where}; estimates are of the others."
-    SETTLED = 2, "{n} of {of} runs settled into steady sliding; {what} is of the others."
-    NOT_MOVING = 2, "{n} of {of} runs are not in motion; {what} is of the others."
+    DIVERGED = 2, "The motion grew without limit in {n:,} of {of:,} runs{where}; estimates are of the others."
+    SETTLED = 2, "{n:,} of {of:,} runs settled into steady sliding; {what} is of the others."
+    NOT_MOVING = 2, "{n:,} of {of:,} runs are not in motion; {what} is of the others."
     MISFIT = (
         3,
         "A damped oscillator misses the slow spectrum (deviance {deviance} on {dof} degrees of freedom): Q is rough.",
     )
-    UNCERTIFIED = 2, "{n} of {of} runs are sliding so far: it is not proved that no block sticks again."
-    WITHOUT = 2, "{n} of {of} runs have no {what} and are left out there: {why}."
+    UNCERTIFIED = 2, "{n:,} of {of:,} runs are sliding so far: it is not proved that no block sticks again."
+    WITHOUT = 2, "{n:,} of {of:,} runs have no {what} and are left out there: {why}."
     WITHHELD = 2, "{what} is not given at {n} of {of} points: {why}."
-    TEMPORARY = 2, "{n} of {of} runs are sliding so far, but unstable: a block sticks again later."
-    UNDECIDED = 2, "{n} of {of} runs are undecided; the column attractor_reason says why."
+    TEMPORARY = 2, "{n:,} of {of:,} runs are sliding so far, but unstable: a block sticks again later."
+    UNDECIDED = 2, "{n:,} of {of:,} runs are undecided; the column attractor_reason says why."
     FEW = 3, "Only {n} {units}: intervals are wide."
     OVERLAP = (
         1,

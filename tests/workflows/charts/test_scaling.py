@@ -91,7 +91,7 @@ def test_a_run_has_the_events_of_its_time(scene, engine):
     assert row.n_runs == 2
     assert 0 < row.seconds_min <= row.seconds <= row.seconds_max
     assert 0 < row.products_min <= row.products <= row.products_max
-    assert 0 <= row.rest < 1
+    assert row.over_products > 0.1  # no engine reads K ten times as fast as numpy
 
 
 def test_systems_that_diverge_leave_a_row_with_a_reason(scene, monkeypatch):

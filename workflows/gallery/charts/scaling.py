@@ -19,10 +19,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import scipy.sparse
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 from pydantic import Field
 
 from stickslip import sim
-from stickslip.analysis.style import CYCLE, legend, styled, subplots
+from stickslip.analysis.style import CYCLE, GREY, legend, styled, subplots
 from stickslip.pipeline import Scene, run_ensemble
 from stickslip.pipeline.ensemble.member import MATRIX
 from stickslip.pipeline.running.cluster import local
@@ -154,11 +155,11 @@ class Cost:
         return self.seconds / self.t if self.seconds is not None and self.t else None
 
     @property
-    def rest(self) -> float | None:
-        """The share of the run that is not products with K, at the price of numpy's; None for chains."""
-        if self.product_seconds is None or self.n_products is None or not self.seconds:
+    def over_products(self) -> float | None:
+        """The time of the run over that of its products with K, at the price of numpy's; None for chains."""
+        if self.product_seconds is None or self.seconds is None or not self.n_products:
             return None
-        return max(0.0, 1.0 - self.n_products * self.product_seconds / self.seconds)
+        return self.seconds / (self.n_products * self.product_seconds)
 
 
 @dataclass(frozen=True)
@@ -265,20 +266,23 @@ def ensemble(scene: ScalingScene, engine: Engine, **settings: float) -> Scene:
 
 
 def cost_against_size(groups: Mapping[str, Sequence[Cost]]) -> Figure:
-    """Cost against the number of blocks, log-log; and the share that is not products."""
+    """Cost against the number of blocks, and over that of the products alone, log-log."""
     panels = (
         ("time per event (µs)", "event", 1e-6),
         ("time per unit of time (ms)", "unit", 1e-3),
-        ("share that is not products", "rest", 1.0),
+        ("time over that of its products", "over_products", 1.0),
     )
     with styled():
         figure, axes = subplots(1, len(panels), 3.1)
         for ax, (title, quantity, unit) in zip(axes[0], panels, strict=True):
-            ax.set(title=title, xscale="log", xlabel="number of blocks n")
+            ax.set(title=title, xscale="log", yscale="log", xlabel="number of blocks n")
             for k, (name, rows) in enumerate(groups.items()):
                 points = [(row.n, value / unit) for row in rows if (value := getattr(row, quantity)) is not None]
                 ax.plot(*np.array(points).reshape(-1, 2).T, "osD"[k], linestyle="-", linewidth=0.9, color=CYCLE[k],
                         markersize=4, label=name)  # fmt: skip
-            ax.set(**({"ylim": (0, 1)} if quantity == "rest" else {"yscale": "log"}))
+            if quantity == "over_products":
+                ax.axhline(1.0, color=GREY, linewidth=0.8)
+                ax.yaxis.set_major_formatter("{x:g}")
+                ax.yaxis.set_minor_formatter(NullFormatter())
         legend(figure, 3)
     return figure
