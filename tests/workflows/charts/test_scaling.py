@@ -169,8 +169,8 @@ def test_the_answer_has_the_ends_and_the_throughput(scene):
     assert "it broke" in report.html
 
 
-def test_the_figure_shows_costs_and_the_share():
-    event, time, share = cost_against_size({"one": planted_costs()}).axes
+def test_the_figure_shows_costs_and_those_over_products():
+    event, time, over_products = cost_against_size({"one": planted_costs()}).axes
     np.testing.assert_allclose(time.lines[0].get_ydata(), [1e-3 * n**2 for n in (100, 200, 400, 800)])
     np.testing.assert_allclose(event.lines[0].get_ydata(), [n for n in (100, 200, 400, 800)])
-    np.testing.assert_allclose(share.lines[0].get_ydata(), 0.9)
+    np.testing.assert_allclose(over_products.lines[0].get_ydata(), 10.0)
