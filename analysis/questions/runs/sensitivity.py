@@ -237,8 +237,8 @@ def _figures(rates: Sequence[Rate], units: Units) -> dict[str, Picture]:
     if not rates:
         return {}
     caption = (
-        "How differences of starts grow or shrink: distance of each system's copy from its base, over the difference"
-        " at the start, while they are proportional. Heavy: the fitted rate, over its range."
+        "How initial differences grow or shrink: distance of each system's copy from the original, over the initial"
+        " distance, while they are proportional. Heavy: the fitted rate, over its range."
     )
     return {"growth": Picture(partial(distances, rates, units), caption)}
 
@@ -251,7 +251,7 @@ def distances(ax: Axes, rates: Sequence[Rate], units: Units = DIMENSIONLESS) -> 
         for t, distance in rate.in_proportion:
             ax.plot(t, distance, form, color=colour, linewidth=0.5, alpha=0.5)
         ax.plot(*rate.fit, form, color=colour, linewidth=2.2, label=f"{rate.setting.label}: {shown(rate.size)}")
-    ax.set(yscale="log", xlabel=units.label("time t", "time"), ylabel="distance / at the start")
+    ax.set(yscale="log", xlabel=units.label("time t", "time"), ylabel="distance / initial distance")
     ax.figure.legend(loc="outside lower center", ncols=1)
 
 

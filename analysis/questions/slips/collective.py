@@ -126,7 +126,7 @@ def _lacking(motion: Slow, where: Place, settings: AnalysisSettings) -> Lack:
 def _picture(drawn: Mapping[str, Sequence[Band]], motion: Slow, where: Place, units: Units) -> Picture:
     """Power at long periods, with the fit of slow common motion and, of the group that leads, its goodness."""
     power = f"the power spectrum of {N_STICK}"
-    words = f"Dashed: time-shifted blocks; bars: intervals; periods over {CYCLES:g} of a block's own cycles"
+    words = f"Periods are over {CYCLES:g} of a block's own cycles. Dashed: time-shifted blocks; bars: intervals"
     if not motion.is_shown:
         shows = "does not rise above" if motion.shown is Shown.NONE else "takes longer runs to tell from"
         caption = f"At long periods {power} {shows} that of time-shifted blocks. {words}."
