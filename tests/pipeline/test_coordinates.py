@@ -215,8 +215,8 @@ def test_a_dataset_of_the_version_before_goes_on(tmp_path):
     assert verify(path) == []
     again = rows(path)
     columns = [name for name in before[0] if name not in ("n_steps", "n_rejected", "n_products")]
-    # the last digits of an exact run are those of the CPU that it was made on; a sigmoid one has another step control
-    for is_exact, tol in ((True, 1e-9), (False, 1e-4)):
+    # exact runs, with tol = 1e-6, have other series at events by now; sigmoid ones, with 1e-5, another step control
+    for is_exact, tol in ((True, 1e-7), (False, 1e-4)):
         old, new = (
             DataFrame([row for row in part if (row["engine"] == "coulomb") == is_exact], columns=columns)
             for part in (before, again)
