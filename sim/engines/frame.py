@@ -98,12 +98,13 @@ def frame(
                 # as at the start of a slice: the result does not depend on the slicing
                 n_last, window = loop.n_tried(counters) + loop.STEPS_A_SLICE, blank()
                 continue
+            n_rejected = counters[loop.N_REJECTED]
             window, n_recorded, stalls = carry(
                 model, work, goal, state, window, n_recorded > before, precheck, events, n_recorded
             )
             if stalls:
                 return loop.STALLED, n_recorded
-            if goal.instant >= 0.0:
+            if goal.instant >= 0.0 and counters[loop.N_REJECTED] == n_rejected:
                 return loop.DONE, n_recorded
             if not loop.is_within(state, goal.bound):
                 return loop.DIVERGED, n_recorded

@@ -166,8 +166,8 @@ def carried(rng, start):
 
 @pytest.mark.parametrize("settings", [{"tol": 1e-12}, {"engine": "sigmoid", "eps": 0.01, "thresholds": (1.0,)}])
 def test_a_run_to_a_bend_has_all_that_one_through_it_has(rng, settings):
-    n_there = 0
-    for start in (0.0, rng.uniform(0.0, 1e5)):
+    n_there = 0  # of some systems the first step after a bend is rejected
+    for start in (0.0,) * 10 + (rng.uniform(0.0, 1e5),):
         system, z, w, knots = carried(rng, start=start)
         whole = simulate(system, z, w, start + 7.0, t_start=start, **settings)
         for knot in knots:
