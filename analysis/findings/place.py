@@ -54,9 +54,9 @@ class Place:
         return bool(self.parts and self.parts[0][0])
 
     @property
-    def noun(self) -> str:
-        """By itself: "at n = 100, exact", and "exact"."""
-        return f"at {self}" if self.has_key else str(self)
+    def phrase(self) -> str:
+        """After a word: "at n = 100, exact", and "for exact"."""
+        return f"{'at' if self.has_key else 'for'} {self}"
 
     @property
     def tail(self) -> str:

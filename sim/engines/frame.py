@@ -104,7 +104,7 @@ def frame(
             )
             if stalls:
                 return loop.STALLED, n_recorded
-            if goal.instant >= 0.0 and counters[loop.N_REJECTED] == n_rejected:
+            if goal.instant >= 0.0 and counters[loop.N_REJECTED] == n_rejected:  # a rejected step is taken again
                 return loop.DONE, n_recorded
             if not loop.is_within(state, goal.bound):
                 return loop.DIVERGED, n_recorded

@@ -73,8 +73,7 @@ def _trend(grid: Grid, steps: Sequence[Step], key: str, is_of_size: bool) -> str
     if len(verdicts) > 1 or any(step.turn for step in steps):
         return f"changes in both directions along {key}"
     settings, changing = ({step.setting for step in steps_here} for steps_here in (steps, told_apart))
-    places = [place for label, place in grid.where.items() if str(label) in changing]
-    names = [place.noun if place.has_key else f"for {place}" for place in places]
+    names = [place.phrase for label, place in grid.where.items() if str(label) in changing]
     only = f" (significant {listed(names)})" if len(names) < len(settings) else ""
     side = f"as {key} decreases" if is_of_size else f"with {key}"
     return f"{'rises' if verdicts == {Verdict.MORE} else 'falls'} {side}{only}"
