@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from stickslip.analysis.models.episodes import Catalogue
-from stickslip.analysis.models.fates import risks
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.estimates import Estimate, Undefined, jackknife_error, over_matrices, ratio, within
+from stickslip.analysis.stats.survival import risks
 
 HAZARD = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0)  # edges of bins of the time since the last large event
 AROUND = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # of the time before or after a large event

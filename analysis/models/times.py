@@ -15,10 +15,10 @@ from typing import Self
 
 import numpy as np
 
-from stickslip.analysis.models.fates import median, risks
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import Compared, correlation
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums
+from stickslip.analysis.stats.survival import median, risks
 
 _QUANTILE = student.quantile(0.975, np.inf)
 
@@ -78,7 +78,7 @@ class Times(UnitSums):
         Parameters
         ----------
         weights : ndarray, shape (m,)
-            By how much the number falls with the hazard at each time of `models.fates.risks`.
+            By how much the number falls with the hazard at each time of `stats.survival.risks`.
         """
         t, n_at_risk, n_ends, _ = self._risks
         n_left = n_at_risk - n_ends
@@ -91,7 +91,7 @@ class Times(UnitSums):
     # ------------------------------------------------------------------------------------------------- median
 
     def median(self, confidence: float) -> Estimate:
-        """The time by which half of the runs have it, by `models.fates.median`; else why there is none."""
+        """The time by which half of the runs have it, by `stats.survival.median`; else why there is none."""
         half = median(self.times, self.ended, confidence, self.of_unit)
         if half.value is None:
             return replace(half, reason=self._not_reached)

@@ -23,7 +23,7 @@ _DETERMINING = (
     "pipeline/own",
     "pipeline/records",
     "pipeline/running/ends.py",
-    "pipeline/running/kept.py",
+    "pipeline/running/taken_over.py",
     "pipeline/running/worker.py",
     "pipeline/scene",
 )

@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, wait
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import dask
 import distributed
@@ -27,20 +27,15 @@ from distributed.comm import get_address_host_port
 from distributed.core import Server, Status, rpc
 from distributed.gc import GCDiagnosis
 from distributed.process import AsyncProcess
-from distributed.system import MEMORY_LIMIT
 from distributed.utils import LoopRunner, silence_logging_cmgr
 
 from stickslip.pipeline.dataset.program import program
-from stickslip.pipeline.errors import AddressError, SceneError, ScheduleError, remedy
+from stickslip.pipeline.errors import AddressError, ScheduleError, remedy
 from stickslip.pipeline.machine import processes
 from stickslip.pipeline.machine.processes import ONE_THREAD, ErrorStream, environment_kept
 from stickslip.pipeline.machine.scratch import scratch
 from stickslip.pipeline.machine.signals import blocked, unbroken
-from stickslip.pipeline.records.record import Memory
 from stickslip.sim.kernels.cache import is_ours, others_write
-
-if TYPE_CHECKING:  # workers load this module first
-    from stickslip.pipeline.scene.scene import Scene
 
 log = logging.getLogger(__name__)
 
@@ -77,24 +72,6 @@ _LOCAL_CLUSTER = {
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "2s",
 }
-
-
-def check_memory(scene: Scene, workers: int) -> None:
-    """See that a worker of this machine can hold the scene's largest system, from the numbers alone.
-
-    Raises `SceneError` if it cannot.
-    """
-    n = max(scene.system.n)
-    room = MEMORY_LIMIT / max(1, min(workers, scene.n_members))
-    takes = [("system.n", Memory(scene.system.bytes_of_system, "drawing a system", "lower n"))]
-    of_records = ((f"record.{record.name}", record.memory(scene.facts)) for record in scene.records)
-    takes += [(key, memory) for key, memory in of_records if memory is not None]
-    for key, (needed, what, advice) in takes:
-        if needed > room:
-            raise SceneError(
-                f"{key}: expected what a worker can hold, got n = {n}, with which {what} takes {needed / 1e9:.3g} GB "
-                f"where each has {room / 1e9:.3g} GB; {advice}, or use fewer workers or a larger machine"
-            )
 
 
 def check_address(address: str) -> None:

@@ -26,10 +26,11 @@ from stickslip.pipeline.own.function import OwnFunction
 from stickslip.pipeline.places.manifest import Result
 from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.running import ends
-from stickslip.pipeline.running.cluster import Scheduling, check_address, check_memory, connect
+from stickslip.pipeline.running.cluster import Scheduling, check_address, connect
+from stickslip.pipeline.running.estimate import check_memory
 from stickslip.pipeline.running.executor import Executor, Here
-from stickslip.pipeline.running.kept import KeptRows
 from stickslip.pipeline.running.submit import LOST, Dask
+from stickslip.pipeline.running.taken_over import KeptRows
 from stickslip.pipeline.running.trials import check_functions
 from stickslip.pipeline.running.worker import (
     Order,

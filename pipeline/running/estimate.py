@@ -1,4 +1,4 @@
-"""What a run will take, before it is made: time and disk, from some members that are run here.
+"""What a run will take, before it is made: memory, and time and disk, from some members that are run here.
 
 `Member.cost` says how work grows within one kind of members (one n, one setting of an engine), up to a factor that
 the machine and the scene's physics set. A pilot finds it: members of each kind, of several matrices, cut short where
@@ -15,11 +15,15 @@ from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import Any
 
+from distributed.system import MEMORY_LIMIT
+
 from stickslip.pipeline.dataset.schema import encode, schema_of
 from stickslip.pipeline.ensemble.expand import Members
 from stickslip.pipeline.ensemble.member import Member
 from stickslip.pipeline.ensemble.pack import Batch
+from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.machine.processes import n_cores
+from stickslip.pipeline.records.record import Memory
 from stickslip.pipeline.running.worker import columns, run_members
 from stickslip.pipeline.scene.columns import Recording
 from stickslip.pipeline.scene.scene import Scene
@@ -28,6 +32,24 @@ from stickslip.pipeline.scene.scene import Scene
 PILOT, _ENOUGH = 3.0, 256
 #: The factor by which the truth may lie above or below, nine times in ten.
 WITHIN = 2.0
+
+
+def check_memory(scene: Scene, workers: int) -> None:
+    """See that a worker of this machine can hold the scene's largest system, from the numbers alone.
+
+    Raises `SceneError` if it cannot.
+    """
+    n = max(scene.system.n)
+    room = MEMORY_LIMIT / max(1, min(workers, scene.n_members))
+    takes = [("system.n", Memory(scene.system.bytes_of_system, "drawing a system", "lower n"))]
+    of_records = ((f"record.{record.name}", record.memory(scene.facts)) for record in scene.records)
+    takes += [(key, memory) for key, memory in of_records if memory is not None]
+    for key, (needed, what, advice) in takes:
+        if needed > room:
+            raise SceneError(
+                f"{key}: expected what a worker can hold, got n = {n}, with which {what} takes {needed / 1e9:.3g} GB "
+                f"where each has {room / 1e9:.3g} GB; {advice}, or use fewer workers or a larger machine"
+            )
 
 
 @dataclass(frozen=True)

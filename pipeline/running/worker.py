@@ -26,7 +26,7 @@ from stickslip.pipeline.places.manifest import Commit, Result, Shard
 from stickslip.pipeline.records import ALWAYS
 from stickslip.pipeline.records.record import Made, Record, stop_early
 from stickslip.pipeline.running.ends import end_of
-from stickslip.pipeline.running.kept import Kept, Runs
+from stickslip.pipeline.running.taken_over import Kept, Runs
 from stickslip.pipeline.scene.columns import DESIGN, Recording
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.adiabatic import Adiabatic

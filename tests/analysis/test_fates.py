@@ -21,12 +21,11 @@ from stickslip.analysis.models.fates import (
     bounded_share,
     ends_at,
     fate,
-    kaplan_meier,
-    median,
     survival,
 )
 from stickslip.analysis.questions.runs.fates import DELAY, QUESTION, answer
 from stickslip.analysis.stats.shares import share_over_matrices, wilson
+from stickslip.analysis.stats.survival import kaplan_meier, median
 from tests.analysis import studies
 from tests.analysis.designs import Data
 

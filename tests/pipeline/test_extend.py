@@ -17,7 +17,7 @@ from stickslip.pipeline.records.record import Record
 from stickslip.pipeline.records.slips.first_exit import FirstExit
 from stickslip.pipeline.running import worker
 from stickslip.pipeline.running.extend import with_records
-from stickslip.pipeline.running.kept import KeptRows
+from stickslip.pipeline.running.taken_over import KeptRows
 from stickslip.pipeline.running.worker import compute_alone
 from tests.scenes import COULOMB, SIGMOID, ensemble
 

@@ -12,8 +12,7 @@ import pytest
 import scipy.sparse
 
 from stickslip.pipeline import SceneError, expand, parse_scene, query, run_ensemble, verify
-from stickslip.pipeline.running import cluster
-from stickslip.pipeline.running.cluster import check_memory
+from stickslip.pipeline.running import estimate
 from stickslip.pipeline.scene.toml import written
 from stickslip.sim.systems.weakening import Rational
 from stickslip.workflows.reporting import study_of
@@ -456,10 +455,10 @@ def test_a_long_chain_runs_sparse(seed, tmp_path, monkeypatch):
     )
     scene = parse_scene(source.encode())
     assert sum(member.cost for member in expand(scene)) < 10.0
-    monkeypatch.setattr(cluster, "MEMORY_LIMIT", 4e9)
-    check_memory(scene, workers=2)
+    monkeypatch.setattr(estimate, "MEMORY_LIMIT", 4e9)
+    estimate.check_memory(scene, workers=2)
     with pytest.raises(SceneError, match=r"record\.growth_rate.*set it to false"):
-        check_memory(parse_scene(f"{source}[record]\ngrowth_rate = true\n".encode()), workers=2)
+        estimate.check_memory(parse_scene(f"{source}[record]\ngrowth_rate = true\n".encode()), workers=2)
     run_ensemble(scene, tmp_path / "out", workers=0)
     (row,) = query.members(tmp_path / "out").to_dict(orient="records")
     assert (row["outcome"], row["n"], row["kappa"], row["leaf"]) == ("finished", 10000, 0.5, 0.1)

@@ -228,8 +228,7 @@ def say_estimate(
     """Say what running a scene into a place would take; the exit code. Arguments are those of `run`."""
     from stickslip.pipeline.dataset.writer import Store
     from stickslip.pipeline.running import ends
-    from stickslip.pipeline.running.cluster import check_memory
-    from stickslip.pipeline.running.estimate import WITHIN, estimate
+    from stickslip.pipeline.running.estimate import WITHIN, check_memory, estimate
     from stickslip.pipeline.running.trials import check_functions
     from stickslip.workflows import own_questions
     from stickslip.workflows.progress import clock
@@ -275,7 +274,7 @@ def say_estimate(
 def _left(todo: Sequence[Task], kept: Opened) -> list[Batch]:
     """The members that are run beside rows that are kept, by shard."""
     from stickslip.pipeline.ensemble.pack import Batch
-    from stickslip.pipeline.running.kept import KeptRows
+    from stickslip.pipeline.running.taken_over import KeptRows
 
     rows = KeptRows(kept)
     left = [Batch(batch.number, rows.left((batch, recording)), batch.scene_hash) for batch, recording in todo]

@@ -31,9 +31,10 @@ from stickslip.analysis.models.attractors import (
     Plane,
     plane,
 )
-from stickslip.analysis.models.fates import LULL, QUIET, SUSTAINED, UNMOVED, Curve
+from stickslip.analysis.models.fates import LULL, QUIET, SUSTAINED, UNMOVED
 from stickslip.analysis.questions.runs.settled import OUTCOMES, Grid, Portion, Runs, Setting, portions, told_apart
 from stickslip.analysis.series.runs import by_number
+from stickslip.analysis.stats.survival import Curve
 from stickslip.analysis.style import PANEL, panel
 from stickslip.pipeline.design.design import Axis, in_words
 from stickslip.pipeline.design.units import DIMENSIONLESS, Units

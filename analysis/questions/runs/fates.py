@@ -40,16 +40,7 @@ from stickslip.analysis.findings.words import based_on, listed
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import SYSTEM_KEYS, noun
 from stickslip.analysis.models.attractors import ESCAPING, PERIODIC, SLIDING, UNDECIDED
-from stickslip.analysis.models.fates import (
-    ENDS,
-    FAILED,
-    LULL,
-    QUIET,
-    Curve,
-    is_unstable,
-    median,
-    survival,
-)
+from stickslip.analysis.models.fates import ENDS, FAILED, LULL, QUIET, is_unstable, survival
 from stickslip.analysis.questions.runs import bifurcations, coexistence, fate_figures, portraits
 from stickslip.analysis.questions.runs.settled import (
     MOST_LEADING,
@@ -71,6 +62,7 @@ from stickslip.analysis.questions.runs.settled import (
 from stickslip.analysis.rows import frame_of
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate
+from stickslip.analysis.stats.survival import Curve, median
 
 MOST_LINES = 12  # along a key, and settings with shares of their own
 MOST_OPEN = 0.1  # of runs that may be undecided without an alert

@@ -18,7 +18,7 @@ from stickslip.analysis.findings.finding import Basis, Finding, Form, KeyChange,
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.measures import of_windows
 from stickslip.analysis.members import noun
-from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, SETTLED, median
+from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, SETTLED
 from stickslip.analysis.models.motion import COLUMNS
 from stickslip.analysis.outcomes import forest, outcomes
 from stickslip.analysis.pairs import START, Comparison, Setting, follow, level, settings
@@ -26,6 +26,7 @@ from stickslip.analysis.stats import components, enough
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.stats.shares import share_over_matrices
+from stickslip.analysis.stats.survival import median
 from stickslip.analysis.steps import Kind, Step, few, judged_together, table_of
 from stickslip.analysis.steps import Setting as Named
 from stickslip.pipeline.design import design

@@ -16,11 +16,11 @@ from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Lif
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import listed
 from stickslip.analysis.members import RELATIVE
-from stickslip.analysis.models.fates import median
 from stickslip.analysis.models.growth import Growth, growth
 from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, Comparison, Followed, Setting, follow, level, settings
 from stickslip.analysis.series import parting
 from stickslip.analysis.stats.estimates import Estimate
+from stickslip.analysis.stats.survival import median
 from stickslip.analysis.style import CYCLE, panel
 from stickslip.pipeline.design.design import Change
 from stickslip.pipeline.design.units import DIMENSIONLESS, Units

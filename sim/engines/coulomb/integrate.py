@@ -1,4 +1,4 @@
-"""A run of the exact engine: its checks, the choice of its loop, and its errors and warnings."""
+"""A run of the exact engine: its checks, the loop that `Coulomb.is_by_waves` picks, and its errors and warnings."""
 
 from __future__ import annotations
 

@@ -10,11 +10,12 @@ from itertools import pairwise
 import numpy as np
 
 from stickslip import sim
-from stickslip.analysis.models.fates import COLLAPSED, DIVERGED, FAILED, LULL, MOVING, QUIET, WATCHED, median
+from stickslip.analysis.models.fates import COLLAPSED, DIVERGED, FAILED, LULL, MOVING, QUIET, WATCHED
 from stickslip.analysis.stats import components
 from stickslip.analysis.stats.enough import LEAST_MATRICES
 from stickslip.analysis.stats.estimates import LN2, Estimate, over_matrices, ratio
 from stickslip.analysis.stats.estimates import gamma as law_gamma
+from stickslip.analysis.stats.survival import median
 from stickslip.workflows.gallery.charts.claims import (
     CONFIDENCE,
     CONTRADICTED,

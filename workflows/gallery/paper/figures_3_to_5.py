@@ -15,7 +15,7 @@ from scipy.signal import periodogram
 
 from stickslip.analysis.models import fates
 from stickslip.analysis.series import cascades
-from stickslip.analysis.stats import dispersion, estimates
+from stickslip.analysis.stats import dispersion, estimates, survival
 from stickslip.analysis.style import CYCLE, EXACT, GREY, PANEL, SMOOTHED, panel, size_axis, styled
 from stickslip.workflows.gallery.charts.claims import CONFIDENCE, Claim
 from stickslip.workflows.gallery.paper.runs import Exits, Path
@@ -259,7 +259,7 @@ def escapes(runs: Sequence[Row], t_end: float) -> list[Claim]:
         rows = [row for row in noisy if row.size == size]
         escaped = np.array([row.fate == fates.DIVERGED for row in rows])
         times = np.where(escaped, [row.t_stop for row in rows], t_end)
-        half = fates.median(times, escaped, CONFIDENCE)
+        half = survival.median(times, escaped, CONFIDENCE)
         table.append(
             {
                 "size": size,
