@@ -45,8 +45,9 @@ _TOGETHER = 100.0
 _LARGER = 3.0
 #: By so much of its static friction the force on a block that sticks may be above, from rounding.
 _ROUNDING = 1e-9
-#: States within so much of a period from an event are those at the event: the run's tolerance, between two ends.
-_EXACT, _MOST_OFF = 1e-12, 1e-8
+#: States so close in time to an event, of the shortest period that blocks can have, are those at the event: by this
+#: share of what a state on a cycle may miss itself by, and at most by the second. Slip is fast, and clocks round.
+_OF_CLOSE, _MOST_OFF = 0.1, 1e-8
 #: A part of a round that misses the state by less than so many times what is allowed is looked at in the same way.
 _ALMOST = 1e3
 #: A round comes back by itself, not as a spiral onto a part of it, if it comes back so much nearer than that part.
@@ -321,7 +322,7 @@ class _End:
         events = replace(events, t=events.t[order], block=events.block[order], mode=events.mode[order])
         if (symbols_of(events)[:p] != symbols).any():
             return None
-        if not (np.abs(events.t - expected) <= max(_EXACT, min(self._tol, _MOST_OFF)) * cycle.period).all():
+        if not (np.abs(events.t - expected) <= min(_OF_CLOSE * self._close, _MOST_OFF) * self._fastest).all():
             path = self._path(events, events.t)
         size, period = self._size(path), float(events.t[p] - events.t[0])
         drift = self._drift(path, size)
