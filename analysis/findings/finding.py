@@ -162,10 +162,13 @@ class Difference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """With what an estimate is compared, as a noun phrase ("a fair coin's ln 2"), and how far from it it lies."""
+    """With what an estimate is compared, as a noun phrase ("a fair coin's ln 2"), and how far from it it lies.
+
+    Without a difference the estimate itself is a distance from it.
+    """
 
     other: str
-    difference: Difference
+    difference: Difference | None = None
 
 
 @dataclass(frozen=True)

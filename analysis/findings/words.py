@@ -187,10 +187,10 @@ def _share(share: Share, is_brief: bool) -> Clauses:
     head, tail = (share.where.head, "") if share.where.has_key else ("", share.where.tail)
     amount = _amount(estimate, share.n if is_whole else None, share.things, basis)
     words = f"{head}{amount} {share.predicate}{tail}{bracket}"
-    if bracket or comparison is None or comparison.difference.verdict is not Verdict.OPEN:
+    difference = None if comparison is None else comparison.difference
+    if bracket or comparison is None or difference is None or difference.verdict is not Verdict.OPEN:
         return _beside(words, comparison, None, is_brief)
-    difference = _signed(comparison.difference, Form.SHARE)
-    return f"{words}, consistent with {comparison.other}", f"the difference is {difference}"
+    return f"{words}, consistent with {comparison.other}", f"the difference is {_signed(difference, Form.SHARE)}"
 
 
 def _amount(share: Estimate, n: int | None, things: str, basis: Basis | None = None) -> str:
@@ -224,7 +224,7 @@ def _value(quantity: Quantity, estimate: Estimate) -> str:
 
 def _in_clause(level: Level) -> str:
     """What stands in the clause of a quantity instead of its value, if a comparison tells."""
-    if level.comparison is None:
+    if level.comparison is None or level.comparison.difference is None:
         return ""
     reference, difference = level.comparison.other, level.comparison.difference
     if difference.verdict is Verdict.EQUAL:
@@ -245,6 +245,8 @@ def _beside(text: str, comparison: Comparison | None, quantity: Quantity | None,
 
 def _compared(comparison: Comparison, quantity: Quantity | None) -> Addition:
     reference, difference = comparison.other, comparison.difference
+    if difference is None:
+        return Addition(f"compared with {reference}")
     above, less = ("above", "below") if quantity is None else (quantity.more, quantity.less)
     form = Form.SHARE if quantity is None else quantity.form
     match difference.verdict:
@@ -507,14 +509,14 @@ def _outcomes(outcomes: Outcomes) -> Clauses:
         words.append(f"{listed(outcomes.equal)} agree{_s(outcomes.equal)} with {reference}{scope}")
     if outcomes.undecided:
         undecided = listed(outcomes.undecided, "or")
-        if largest is None or largest.basis is None or largest.comparison is None:
+        if largest is None or largest.basis is None or _difference(largest) is None:
             words.append(f"{undecided} cannot be told from {reference}{scope}")
         else:
             beside = "" if outcomes.equal else f" from {reference}{scope}"
             words.append(f"no difference{beside} is shown for {undecided} ({based_on(largest.basis)})")
         if outcomes.equal:
             return (*words,)
-    if largest is None or (outcomes.different and largest.comparison is not None):
+    if largest is None or (outcomes.different and _difference(largest) is not None):
         return (*words,)
     is_elsewhere = outcomes.undecided and outcomes.at_largest not in ("", *outcomes.undecided)
     addition = _most_apart(largest, f", for {outcomes.at_largest}" if is_elsewhere else "")
@@ -531,11 +533,16 @@ def _counted(settings: tuple[str, ...]) -> tuple[str, ...]:
     return settings if len(settings) < 2 else (f"{len(settings)} settings",)
 
 
+def _difference(level: Level) -> Difference | None:
+    """How far a level lies from what it is compared with; None if it is a distance itself."""
+    return None if level.comparison is None else level.comparison.difference
+
+
 def _larger(level: Level, other: str) -> str:
     """A difference that is shown as an object: "31% (20 to 41%) fewer slip onsets than exact"; else empty."""
-    if level.comparison is None or level.comparison.difference.verdict not in (Verdict.MORE, Verdict.LESS):
+    difference, name, things = _difference(level), level.quantity.name, level.quantity.things
+    if difference is None or difference.verdict not in (Verdict.MORE, Verdict.LESS):
         return ""
-    difference, name, things = level.comparison.difference, level.quantity.name, level.quantity.things
     is_more = difference.verdict is Verdict.MORE
     if (times := ratio(difference)) is not None:
         return f"{times} times as many {things} as {other}" if things else f"{times} times the {name} of {other}"
@@ -548,9 +555,9 @@ def _larger(level: Level, other: str) -> str:
 def _most_apart(level: Level, where: str) -> Addition:
     """The largest difference of several, of which none is shown; as two values where it has no ratio."""
     form, name, end = level.quantity.form, level.quantity.name, level.estimate.value
-    if level.comparison is None:  # a distance
+    difference = _difference(level)
+    if difference is None:
         return Addition(f"{name} {with_interval(level.estimate, form)}{where}")
-    difference = level.comparison.difference
     value = difference.estimate.value
     if difference.verdict is Verdict.SAME or value is None or end is None:
         return Addition()

@@ -25,6 +25,7 @@ from stickslip.analysis.page.parts import Answered, Drawn, Part, ask, findings_j
 from stickslip.analysis.questions import is_own, package_questions, question, refuse_unknown
 from stickslip.analysis.rows import frame_by
 from stickslip.analysis.settings import AnalysisSettings
+from stickslip.pipeline.design.labels import engines_in_words
 from stickslip.pipeline.design.values import text
 from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Number
@@ -38,7 +39,7 @@ CALLED = {
     "group": "setting",
     "matrices": "systems",
     "members": "runs",
-    "finished": "reached t_end",
+    "finished": "reached the end",
     "quiet": "sliding so far (not unstable)",
 }
 #: How many of what a group has.
@@ -149,16 +150,18 @@ def build(
     lead, panels = _lead(leading), _panels(leading)
     title, about = _title(leading, title, about)
     groups = groups_table(study)
+    engines = {group.key["engine"] for group in study.groups}
+    laws, is_told = signs(engines_in_words(engines)), len(engines) > 1  # one alone is named in the table of settings
     sources = {file: digest for question in questions for file, digest in question.sources.items()}
     sections = [
         *(part.section(panels, k < len(lead), k == 0) for k, part in enumerate(leading)),
         *(part.section(panels, False, False) for part in folded),
-        _provenance(study, groups, lacking, sources, provenance),
+        _provenance(study, groups, lacking, sources, provenance, laws * (not is_told)),
     ]
     page = Page(
         title, about, lead, panels, leading[0].head if leading else PageTable(),
         _alerts(study, leading, [part for part in parts if part not in leading]),
-        [*_notes(settings.question, by_key, {part.key: part for part in lacking})], sections,
+        [*[laws] * is_told, *_notes(settings.question, by_key, {part.key: part for part in lacking})], sections,
         {"made-from": made_from} | ({"own-questions": "run"} if sources else {}),
         leading[0].answer.paragraph if leading else "",
     )  # fmt: skip
@@ -214,15 +217,20 @@ def _panels(leading: Sequence[Part]) -> list[Panel]:
 
 
 def _provenance(
-    study: Study, groups: pd.DataFrame, lacking: Sequence[Part], sources: Mapping[str, str], origin: Mapping[str, str]
+    study: Study,
+    groups: pd.DataFrame,
+    lacking: Sequence[Part],
+    sources: Mapping[str, str],
+    origin: Mapping[str, str],
+    law: str,
 ) -> Section:
-    """How the page was made: settings, what could not be answered, and where the data come from."""
+    """How the page was made: settings, the engine's `law` if it is one, what has no answer, and the data's origin."""
     settings, units = study.settings, f"{noun(study.unit)}s" + " of one system" * (study.unit == START)
     measured = f"in {settings.units}" if settings.units else "dimensionless"
     texts = [
         f"Statistics use t = {settings.at(settings.t_burn)} to the end of each run. Intervals are"
         f" {100 * settings.confidence:g}% intervals over independent {units}: Wilson for shares, Greenwood for"
-        f" survival, jackknife otherwise. Quantities are {measured}.",
+        f" survival, jackknife otherwise. Quantities are {measured}. {law}".rstrip(),
         *(f"Not answered: {page.title} {text}" for page in lacking for text in page.lead),
     ]
     notes = [

@@ -130,6 +130,8 @@ def _what(quantity: Quantity) -> str:
 
 
 def _difference(comparison: Comparison, form: Form) -> str:
+    if comparison.difference is None:
+        return ""
     size, verdict = difference_in_words(comparison.difference, form)
     return f"{_unbroken(size)}, {verdict}" if verdict else _unbroken(size)
 

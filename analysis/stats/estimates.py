@@ -67,6 +67,17 @@ def within(estimate: Estimate, least: float | None = None, most: float | None = 
     return replace(estimate, low=low, high=high)
 
 
+def non_negative(estimate: Estimate) -> Estimate:
+    """An estimate of what cannot be negative: no more than an upper limit, if its interval holds zero.
+
+    Where the whole interval lies below, that is by chance, and there is none.
+    """
+    low, high = estimate.low, estimate.high
+    if low is None or high is None or low > 0.0:
+        return estimate
+    return Estimate(high=high) if high > 0.0 else Estimate(reason="the interval lies below zero")
+
+
 @dataclass(frozen=True)
 class UnitSums:
     """Two sums of each of some independent units, from which a statistic follows.

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 from stickslip.pipeline.design.values import Values, text
-from stickslip.sim.engines import ENGINES, SETTINGS
+from stickslip.sim.engines import ENGINES, SETTINGS, place
 
 Part = tuple[str, str]
 
@@ -28,6 +28,12 @@ class Label(str):
 def engine_name(engine: str) -> str:
     """The name of an engine on pages."""
     return ENGINES[engine].title
+
+
+def engines_in_words(engines: Collection[str]) -> str:
+    """What some engines are, a sentence each, under their names on pages."""
+    named = (ENGINES[engine] for engine in sorted(engines, key=place))
+    return " ".join(f"{engine.title.capitalize()}: {engine.about}" for engine in named)
 
 
 def apart(labels: Sequence[Label], always: int = 0) -> list[Label]:

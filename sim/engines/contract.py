@@ -190,7 +190,7 @@ class Engine(ABC):
     title : str
         On pages of a report; default: its name.
     about : str
-        One line for scenes.
+        One line for scenes, and for pages that name it.
     kernels : str
         The package of its compiled kernels, which the module `integrate` there loads; "" if it has none.
     sizes : tuple of int

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings, Study
-from stickslip.analysis.findings.finding import Lack, Level, Reason, Share
+from stickslip.analysis.findings.finding import Lack, Law, Level, Reason, Share
 from stickslip.analysis.findings.place import EVERYWHERE
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.members import records
@@ -171,7 +171,7 @@ def test_the_answer_leads_with_one_number_and_is_the_same_twice(planted, rng):
         assert one.findings == other.findings
         assert len(sentence(one.findings[0]).split()) <= 25
         lead = one.findings[0]
-        assert isinstance(lead, Level | Share | Lack)
+        assert isinstance(lead, Law | Level | Share | Lack)
         assert set(one.tables) == {"clustering", "spectrum"}
         for name, table in one.tables.items():
             pd.testing.assert_frame_equal(table, other.tables[name])

@@ -1,13 +1,14 @@
 """Slow common motion: closed forms against integrals; what was planted comes back, and nothing else."""
 
 import dataclasses
+import re
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from stickslip.analysis.findings.alerts import Code
-from stickslip.analysis.findings.finding import Basis, Fit, Lack, Level, Reason, Verdict
+from stickslip.analysis.findings.finding import Fit, Lack, Level, Reason, Verdict
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models import common_motion
 from stickslip.analysis.models.common_motion import Shown
@@ -181,6 +182,12 @@ def point(keys, period, rng, error=0.03):
     return Slow(SimpleNamespace(key=keys, label=label), list(range(20)), None, 36.0, found)
 
 
+def without(slow, n):
+    """The group without the first n of its matrices."""
+    values = {name: np.delete(logs, np.s_[1 : n + 1]) for name, logs in slow.fit.values.items()}
+    return dataclasses.replace(slow, units=slow.units[n:], motion=dataclasses.replace(slow.fit, values=values))
+
+
 def power(name, key, points):
     return scene.power_law(name, key, scene.along(key, points), 0.95)
 
@@ -228,24 +235,32 @@ def test_changes_are_those_planted(rng):
         ("n", "belt_speed = -0.1", 3), ("n", "belt_speed = -0.2", 3),
         ("belt_speed", "n = 150", 2), ("belt_speed", "n = 175", 2), ("belt_speed", "n = 200", 2),
     ]  # fmt: skip
-    changes = scene.changes(lines, Basis(20), 0.95)
+    changes = scene.changes(lines, "system", 0.95)
     found = [change for change in changes if change.quantity.key == "period"]
     assert found[0].difference.verdict is Verdict.LESS
     assert found[0].difference.estimate.value == pytest.approx(360 / 440 - 1, abs=0.05)
     assert found[0].keys[0].first == "150"
     assert found[0].difference.family.n == 3 * len(lines)
+    # each is of the systems that give both of its ends
+    *groups, last = lines[0].groups
+    fewer = lines[0]._replace(groups=[*groups, without(last, 9)])
+    assert [change.basis.n for change in scene.changes([fewer, lines[1]], "system", 0.95)] == 3 * [11, 20]
 
 
 def test_a_common_mode_of_blocks_is_said_with_its_share_and_the_goodness_of_its_fit(planted, rng):
     study = study_of(planted, [studies.blocks_run(rng, depth=0.6, period=80.0) for _ in range(12)])
     found = collective.answer(study)
-    share = found.findings[0]
-    assert "of the variance of the number of sticking blocks comes from slow common motion" in sentence(share)
-    assert sentence(found.findings[1]).startswith("Natural period of slow common motion")
+    law = found.findings[0]
+    assert re.match(
+        r"Blocks move together slowly \([\d.]+% of the variance\): natural period [\d.]+ \([\d.]+ to [\d.]+\)\.",
+        sentence(law),
+    )
+    assert law.scope.quantity.name.startswith("share of the variance of the number of sticking blocks")
+    assert found.n_lead == 1
     motion = slow_motion(study, study.groups[0])
-    levels = [finding for finding in found.findings if isinstance(finding, Level)]
+    levels = [law.parameter, *(finding for finding in found.findings if isinstance(finding, Level))]
     value_of = {level.quantity.key: level.estimate.value for level in levels}
-    assert share.estimate == motion.fit.estimates["share"]
+    assert law.scope.estimate == motion.fit.estimates["share"]
     for name in ("quality", "period"):
         assert value_of[name] == motion.fit.estimates[name].value
     assert value_of["deviance"] == motion.goodness.deviance

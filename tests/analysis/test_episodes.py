@@ -12,6 +12,7 @@ from stickslip.analysis import Study, build, measures
 from stickslip.analysis import catalogue as as_catalogue
 from stickslip.analysis.findings.alerts import Code
 from stickslip.analysis.findings.finding import Change, Fit, KeyChange, Law, Level, Outcomes, Reason, Verdict
+from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models import magnitudes
 from stickslip.analysis.models.episodes import CREEP, OCCUPANCY, QUANTITIES, RATE, REST, SIZE, SLIP, STORED, Catalogue
 from stickslip.analysis.models.magnitudes import Picture
@@ -416,6 +417,30 @@ def test_methods_are_held_against_exact_events(planted_episodes, planted, settin
     assert off["sigmoid, eps = 0.01"].estimate.value == -1.0
     assert rates["exact"].comparison is None
     assert Code.BLURRED not in codes(answer)
+
+
+def test_a_method_that_keeps_the_episodes_may_lose_slip_onsets(planted_episodes, planted, settings):
+    """One changes n_stick half as often in the same episodes: it differs, and the first finding says in what."""
+    moreau = {"engine": "moreau", "step": 0.1, "tol": None}
+    data = planted_episodes(EXACT | {"steps": (moreau, 1.0), "fine": (moreau | {"step": 0.01}, 1.0)}, rate=3.0)
+    of_exact = dict(list(data.episodes.groupby("member_id", sort=False)))
+    episodes_of, series = [], {}
+    for member in data.members["member_id"]:
+        exact = f"{member.partition('-')[0]}-exact"
+        episodes_of.append(of_exact[exact].assign(member_id=member))
+        t, n_stick = data.series[exact]
+        n_kept = len(t) // 2 if member.endswith("steps") else len(t)
+        series[member] = t[:n_kept], n_stick[:n_kept]
+    data = replace(data, series=series, episodes=pd.concat(episodes_of, ignore_index=True))
+    different, alike = of_kind(asked(data, settings), Outcomes)
+    assert different.different == ("moreau with step = 0.1",)
+    assert re.match(
+        r"Moreau with step = 0.1 gives [\d.]+% \(.*\) fewer slip onsets than exact\.", sentence(different)
+    )
+    assert alike.undecided == ("moreau with step = 0.01",)
+    (distance, *_) = (level for level in of_kind(asked(data, settings), Level) if level.quantity is episodes.APART)
+    assert (distance.comparison.other, distance.comparison.difference) == ("exact", None)
+    assert sentence(distance).endswith(", compared with exact.")
 
 
 def test_a_test_that_few_systems_leave_without_power_costs_the_others_nothing(planted_episodes, planted, settings):

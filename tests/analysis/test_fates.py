@@ -426,7 +426,9 @@ def test_sizes_are_grouped_by_what_all_their_runs_do(planted):
     found = shares(answered)
     assert found[SUSTAINED, "n = 250"].estimate.value == pytest.approx(0.2)
     assert ("escaping", "n = 250") not in found  # the regime has said it
-    assert (found["stable_sliding", ""].estimate.value, found["unstable_escaping", ""].basis.n) == (1.0, 10)
+    assert {place for key, place in found if key == "stable_sliding"} == {"n = 20", "n = 50"}
+    assert {place for key, place in found if key == "unstable_escaping"} == {"n = 250"}
+    assert (found["stable_sliding", "n = 20"].estimate.value, found["stable_sliding", "n = 20"].basis.n) == (1.0, 5)
     for picture in answered.figures.values():
         assert picture.recipe().axes
 

@@ -14,6 +14,7 @@ from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.members import records
 from stickslip.analysis.models import pool
+from stickslip.analysis.questions.runs.engines import between_engines
 from stickslip.analysis.questions.slips import cascade_definitions, cascades
 from stickslip.analysis.stats.components import between
 from stickslip.analysis.stats.estimates import LN2, gamma, over_matrices
@@ -123,7 +124,7 @@ def test_coupling_makes_the_planted_part_of_the_excess(planted, rng):
     assert verdict(shifted) is Verdict.MORE
     assert re.fullmatch(r"The decay rate is .*% \(.*%\) more than for time-shifted blocks\.", sentence(shifted))
     others = [level.comparison.other for level in coupled.findings[1 : coupled.n_lead]]
-    assert others == [cascades.TWO_STATE, cascades.SHIFTED]
+    assert others == [cascades.SHIFTED, cascades.TWO_STATE]
     assert row["gamma_pool"] == pytest.approx(pool.gamma(20, 6.0), abs=0.01)
     assert alone.tables["law"]["over_shifted"][0] == pytest.approx(0.0, abs=0.02)
 
@@ -163,6 +164,22 @@ def test_settings_beside_the_lead_are_levels_with_their_setting(planted, rng):
     for picture in answer.figures.values():
         assert picture.caption
         assert picture.recipe().axes
+
+
+def test_the_rate_by_another_engine_stands_beside_that_of_the_exact_law(planted, settings):
+    """Second, before the nulls, as the page of changes judges it; the margin of the scene says when both agree."""
+    study = Study(Data(*planted.ensemble({"coulomb": 0.7, "sigmoid": 0.5}, 8)), settings)
+    law, other, *_ = cascades.answer(study).findings
+    assert law.parameter.where == Place((("n", "200"), ("", "exact")))
+    assert (other.comparison.other, other.comparison.difference.verdict) == ("exact", Verdict.LESS)
+    (step,) = between_engines(study, "gamma")
+    assert other.comparison.difference == step.contrast.difference
+    assert re.search(r"sigmoid, .*, the decay rate is [\d.]+% \(.*\) less than for exact\.$", sentence(other))
+    study = Study(
+        Data(*planted.ensemble({"coulomb": 0.7, "sigmoid": 0.71}, 8)),
+        dataclasses.replace(settings, margins={"gamma": 0.2}),
+    )
+    assert cascades.answer(study).findings[1].comparison.difference.verdict is Verdict.EQUAL
 
 
 # ------------------------------------------------------------------------------------------- estimates

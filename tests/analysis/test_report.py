@@ -5,13 +5,16 @@ import json
 import math
 import re
 from dataclasses import replace
+from html import unescape
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings, build
+from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.stats.estimates import LN2
+from stickslip.sim.engines import ENGINES
 from tests.analysis.designs import Data
 from tests.analysis.reports import contents
 
@@ -216,3 +219,11 @@ def test_settings_out_of_range_are_refused_by_name(changes, named):
     good = {"t_burn": 0.0, "dt": (1.0,), "resamples": 10, "confidence": 0.95, "seed": 0}
     with pytest.raises(ValueError, match=named):
         AnalysisSettings(**(good | changes))
+
+
+def test_the_page_says_what_an_engine_is_where_it_names_one(planted, settings):
+    """Below the alerts, where engines are told apart; one alone stands in the table of settings."""
+    for engines, section in ((("coulomb", "sigmoid"), ""), (("coulomb",), "How was it made?")):
+        shown = unescape(text_of(report_of(planted.ensemble(dict.fromkeys(engines, 0.7), 5), settings)))
+        assert {name for name in ENGINES if signs(ENGINES[name].about) in shown} == {*engines}
+        assert shown.index(ENGINES["coulomb"].about) > shown.index(section)

@@ -28,6 +28,7 @@ from stickslip.analysis.findings.finding import (
     Reason,
     Verdict,
 )
+from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.grid import is_negative
 from stickslip.analysis.models.common_motion import Number
@@ -107,16 +108,13 @@ def question(study: Study) -> Answer:
     lines = [line for key in KEYS for line in along(key, slow)]
     if not lines:
         return Answer(findings=[Lack(WHAT, Reason.ONE_VALUE if slow else Reason.NOT_SHOWN)])
-    confidence, basis = study.settings.confidence, Basis(max(len(motion.units) for motion in slow), systems(study))
-    changed = changes(lines, basis, confidence)
+    confidence = study.settings.confidence
+    changed = changes(lines, systems(study), confidence)
     changed.sort(key=_rank)
     powers = [power for key in KEYS for name in NUMBERS if (power := power_law(name, key, lines, confidence))]
     wide = [power for power in powers if power.last_value >= LEAST_FACTOR * power.first_value]
     laws = [power.finding(1 - confidence) for power in wide]
     findings: list[Finding] = [*changed, *(law for law in laws if law.fit is Fit.HOLDS)]
-    for motion in slow:
-        period = motion.fit.estimates[Number.PERIOD]
-        findings.append(Level(NUMBERS[Number.PERIOD], period, Place.of(motion.group.name), basis=basis))
     shown_lines = [line for line in lines if line.key == lines[0].key]
     caption = f"{_trend(changed, shown_lines[0].key)}. Bars are {100 * confidence:g}% intervals."
     return Answer(
@@ -167,7 +165,7 @@ def along(key: str, slow: Sequence[Slow]) -> list[Along]:
     ]
 
 
-def changes(lines: Sequence[Along], basis: Basis, confidence: float) -> list[Change]:
+def changes(lines: Sequence[Along], unit: str, confidence: float) -> list[Change]:
     """Changes from the first to the last value of each line; their p-values are adjusted by Holm's rule."""
     tested = [(number, line, _logarithm(number, line)) for number in NUMBERS for line in lines]
     adjusted = holm([test.p_different for *_, test in tested]).tolist()
@@ -180,6 +178,7 @@ def changes(lines: Sequence[Along], basis: Basis, confidence: float) -> list[Cha
         key = KeyChange(line.key, shown(old), shown(new), is_negative(old, new))
         before, after = (motion.fit.estimates[number] for motion in ends)
         difference = Difference(size, family=family)
+        basis = Basis(min(len(motion.units) for motion in ends), unit)
         changed.append(Change(NUMBERS[number], (key,), before, after, difference, line.at, basis))
     return changed
 
@@ -252,7 +251,7 @@ def periods(ax: Axes, lines: Sequence[Along]) -> None:
         x = [sign * float(motion.group.key[line.key]) for motion in line.groups]
         periods = with_ends(motion.fit.estimates[Number.PERIOD] for motion in line.groups)
         colour, form = (EXACT, SMOOTHED, GREEN, PURPLE, ORANGE)[k % 5], f"{'os^Dv'[k % 5]}-"
-        bars(ax, x, periods, fmt=form, color=colour, markersize=3.5, linewidth=0.9, label=str(line.at))
+        bars(ax, x, periods, fmt=form, color=colour, markersize=3.5, linewidth=0.9, label=signs(str(line.at)))
     ax.set(xlabel=f"|{lines[0].key}|" if is_of_size else lines[0].key, ylabel="natural period")
     if len(lines) > 1:
         ax.figure.legend(loc="outside lower center", ncols=2)

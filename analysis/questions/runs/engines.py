@@ -63,18 +63,9 @@ class _Pair:
 
 def answer(study: Study) -> Answer | None:
     """How each statistic depends on the engine and its settings; None where there is only one."""
-    thresholds = _thresholds(study)
-    labels = [group.name for group in study.groups]
-    names = dict(zip(labels, apart(labels), strict=True))
-    compared = [
-        (pair, step)
-        for pair in _pairs(study, thresholds)
-        for step in _steps(study, pair, Place.of(names[pair.group.name]), thresholds)
-    ]
-    if not compared:
+    pairs, steps = study.once(compared)
+    if not steps:
         return None
-    pairs, unjudged = zip(*compared, strict=True)
-    steps = judged_together(unjudged, 1 - study.settings.confidence)
     judged = [(pair, step) for pair, step in zip(pairs, steps, strict=True) if step.contrast.is_known]
     unit, scope = noun(study.unit), ""
     if study.data.episodes is not None:
@@ -98,6 +89,27 @@ def answer(study: Study) -> Answer | None:
     method = _METHOD + "".join(_CRITERIA.get(stick, "") for stick in sorted(criteria)[:1])
     findings = [*lead, *levels] if lead else [lack]
     return Answer(findings, len(lead), method=method, tables={"changes": table_of(steps)}, figures=figures)
+
+
+def compared(study: Study) -> tuple[list[_Pair], list[Step]]:
+    """Every statistic of each pair, judged together with what has the same reference."""
+    thresholds = _thresholds(study)
+    labels = [group.name for group in study.groups]
+    names = dict(zip(labels, apart(labels), strict=True))
+    pairs, unjudged = list[_Pair](), list[Step]()
+    for pair in _pairs(study, thresholds):
+        of_pair = [*_steps(study, pair, Place.of(names[pair.group.name]), thresholds)]
+        pairs += [pair] * len(of_pair)
+        unjudged += of_pair
+    return pairs, judged_together(unjudged, 1 - study.settings.confidence)
+
+
+def between_engines(study: Study, key: str) -> Iterator[Step]:
+    """The steps of a quantity of n_stick from one engine or setting of it to another, as `changes` judges them."""
+    for step in study.once(compared)[1]:
+        is_known = step.contrast.is_known and not step.contrast.reason
+        if step.kind is Kind.LAW and step.statistic == QUANTITIES[key].label and is_known:
+            yield step
 
 
 def _steps(study: Study, pair: _Pair, where: Place, thresholds: _Thresholds) -> Iterator[Step]:

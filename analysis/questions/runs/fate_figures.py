@@ -17,7 +17,7 @@ from matplotlib.ticker import PercentFormatter
 from stickslip.analysis.answer import Picture
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Form
-from stickslip.analysis.findings.numbers import with_interval
+from stickslip.analysis.findings.numbers import signs, with_interval
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import listed
 from stickslip.analysis.models.attractors import (
@@ -318,7 +318,7 @@ def survival_curves(ax: Axes, curves: Mapping[str, Curve], t_end: float, units: 
         steps = np.unique(np.linspace(0, len(curve[0]) - 1, MOST_STEPS).astype(np.int64))
         t = np.append(curve[0][steps], t_end)
         share, low, high = (np.append(column[steps], column[-1]) for column in curve[1:])
-        ax.step(t, share, where="post", color=hue, label=label)
+        ax.step(t, share, where="post", color=hue, label=signs(label))
         if _has_band(curve):
             ax.fill_between(t, low, high, share < 1.0, step="post", color=hue, alpha=0.15, linewidth=0)
     ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), ylabel="share of runs still going")

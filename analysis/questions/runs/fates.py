@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip.analysis import burn_in
-from stickslip.analysis.answer import Answer, Picture, Question
+from stickslip.analysis.answer import Answer, Picture, Question, places
 from stickslip.analysis.catalogues import fineness
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code, drift
@@ -63,6 +63,7 @@ from stickslip.analysis.rows import frame_of
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.stats.survival import Curve, median
+from stickslip.pipeline.design.labels import engine_name
 
 MOST_LINES = 12  # along a key, and settings with shares of their own
 MOST_OPEN = 0.1  # of runs that may be undecided without an alert
@@ -305,6 +306,7 @@ def _delays(study: Study) -> Iterator[Level]:
     Whether a certificate came in time makes no difference to an event, and systems are compared with themselves.
     """
     of_system: dict[tuple[object, ...], list[Group]] = {}
+    where = places(study)
     for group in sorted(study.groups, key=fineness):
         of_system.setdefault(tuple(group.key[name] for name in SYSTEM_KEYS), []).append(group)
     for reference, *methods in of_system.values():
@@ -314,8 +316,8 @@ def _delays(study: Study) -> Iterator[Level]:
             if len(delays):
                 interval = median(delays, np.full(len(delays), True), study.settings.confidence)
                 delay = replace(interval, value=float(np.median(delays)))
-                where = Place.of(method.name) + Place.words(f"after {reference.label}")
-                yield Level(DELAY, delay, where, basis=Basis(len(delays), noun(study.unit)))
+                beside = Comparison(engine_name(reference.key["engine"]))
+                yield Level(DELAY, delay, where[method.label], beside, Basis(len(delays), noun(study.unit)))
 
 
 def _last_events(group: Group) -> pd.Series:
@@ -327,22 +329,21 @@ def _last_events(group: Group) -> pd.Series:
 
 def _stability(study: Study, settings: Sequence[Setting]) -> Iterator[Share]:
     """What runs do whose state in which all blocks slip is linearly stable, and those of which it is unstable."""
-    if not settings:
-        return
-    runs = together(settings)
-    rates = study.data.table.own["growth_rate"].to_numpy(np.float64)[runs.rows]
-    unstable = np.asarray(is_unstable(rates))
-    for state, chosen, kind in (
-        ("stable", ~np.isnan(rates) & ~unstable, SLIDING),
-        ("unstable", unstable, ESCAPING),
-    ):
-        subset = runs.at(chosen)
-        if len(subset.rows) and runs.n_of(kind):
-            nothing = np.zeros(len(subset.rows))
-            share = share_of(subset.kinds == kind, nothing, subset.units, study.settings.confidence)
-            basis = Basis(len(np.unique(subset.units)), noun(study.unit))
-            name = f"runs with a linearly {state} all-slip state"
-            yield Share(f"{state}_{kind}", name, PREDICATES[kind], share, EVERYWHERE, None, basis, len(subset.rows))
+    growth_rates = study.data.table.own["growth_rate"].to_numpy(np.float64)
+    for setting in settings:
+        runs, rates = setting.runs, growth_rates[setting.runs.rows]
+        unstable = np.asarray(is_unstable(rates))
+        for state, chosen, kind in (
+            ("stable", ~np.isnan(rates) & ~unstable, SLIDING),
+            ("unstable", unstable, ESCAPING),
+        ):
+            subset = runs.at(chosen)
+            if len(subset.rows) and runs.n_of(kind):
+                nothing = np.zeros(len(subset.rows))
+                share = share_of(subset.kinds == kind, nothing, subset.units, study.settings.confidence)
+                basis = Basis(len(np.unique(subset.units)), noun(study.unit))
+                name, key = f"runs with a linearly {state} all-slip state", f"{state}_{kind}"
+                yield Share(key, name, PREDICATES[kind], share, setting.where, None, basis, len(subset.rows))
 
 
 def _means(study: Study, settings: Sequence[Setting]) -> list[Level]:

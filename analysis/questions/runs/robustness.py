@@ -23,7 +23,7 @@ from stickslip.analysis.models.motion import COLUMNS
 from stickslip.analysis.outcomes import forest, outcomes
 from stickslip.analysis.pairs import START, Comparison, Setting, follow, level, settings
 from stickslip.analysis.stats import components, enough
-from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums
+from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums, non_negative
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.stats.shares import share_over_matrices
 from stickslip.analysis.stats.survival import median
@@ -194,8 +194,8 @@ def _effects(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator
             if len(sets) < enough.LEAST_MATRICES:
                 continue
             unchanged, changed = (copies.values(quantity, [rows[side] for rows in sets]) for side in (0, 1))
-            effect = components.against_redraw(unchanged, changed, confidence).theta
-            if effect.high is not None and effect.value is not None:
+            effect = non_negative(components.against_redraw(unchanged, changed, confidence).theta)
+            if effect.high is not None:
                 name = f"effect of {comparison.change} on the {QUANTITIES[quantity].title} of one system"
                 theta = Quantity("theta", f"{name}, as a share of another system's", Form.SHARE)
                 yield quantity, Level(theta, effect, where, None, Basis(len(sets), unit))

@@ -113,12 +113,17 @@ class Rate(NamedTuple):
 
 
 class Parting(NamedTuple):
-    """When the copies with one change have parted from their base."""
+    """When the copies with one change have parted from their base, in how many of the systems known to the end.
+
+    In `n_grew` others the motion of one of the two grew without limit before they parted.
+    """
 
     setting: Setting
     change: Change
     pairs: Followed
     half: Estimate
+    n_systems: int
+    n_grew: int
 
 
 def answer(study: Study) -> Answer | None:
@@ -201,7 +206,9 @@ def _partings(study: Study, setting: Setting) -> Iterator[Parting]:
         _, firsts = np.unique(pairs.matrix, return_index=True)  # of several draws: systems are the independent units
         has_parted = pairs.has_parted[firsts]
         times = np.where(has_parted, pairs.t[firsts], pairs.t_stop[firsts])
-        yield Parting(setting, comparison.change, pairs, median(times, has_parted, study.settings.confidence))
+        half = median(times, has_parted, study.settings.confidence)
+        n_grew = int(np.sum(~has_parted & (times < setting.key["t_end"])))
+        yield Parting(setting, comparison.change, pairs, half, len(times) - n_grew, n_grew)
 
 
 def _alike(partings: Sequence[Parting]) -> list[list[Parting]]:
@@ -209,7 +216,7 @@ def _alike(partings: Sequence[Parting]) -> list[list[Parting]]:
     groups: dict[object, list[Parting]] = {}
     for k, parted in enumerate(partings):
         is_open = parted.change.kind == START and not parted.pairs.has_parted.any()
-        groups.setdefault(parted.setting.label if is_open else k, []).append(parted)
+        groups.setdefault((parted.setting.label, parted.n_grew) if is_open else k, []).append(parted)
     return [*groups.values()]
 
 
@@ -221,12 +228,15 @@ def _lifetime(alike: Sequence[Parting]) -> Lifetime:
         START: f"starts moved by {sizes}",
         RATIOS: "other stiffness ratios",
     }[example.change.kind]
-    share_left = 1 - float(np.mean(np.concatenate([parted.pairs.has_parted for parted in alike])))
-    where, horizon = (
-        Place.of(example.setting.label) + Place.words(f"with {change}"),
-        float(example.setting.key["t_end"]),
-    )
-    basis = Basis(len(np.unique(example.pairs.matrix)))
+    where, horizon = Place.of(example.setting.label), float(example.setting.key["t_end"])
+    where += Place.words(f"with {change}")
+    n_parted = sum(int(parted.pairs.has_parted.sum()) for parted in alike)
+    n_left = sum(int(np.sum(~parted.pairs.has_parted & (parted.pairs.t_stop >= horizon))) for parted in alike)
+    share_left = n_left / max(n_left + n_parted, 1)
+    if example.n_grew:
+        n_all = example.n_systems + example.n_grew
+        where += Place.words(f"{example.n_grew} of {n_all} systems grew without limit before")
+    basis = Basis(example.n_systems)
     return Lifetime(PARTED, "copies", "are still together", example.half, horizon, share_left, where, basis=basis)
 
 

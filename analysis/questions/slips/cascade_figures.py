@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
+from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.stats.estimates import Estimate, with_ends
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, bars, panel, size_axis
 from stickslip.pipeline.design.units import DIMENSIONLESS, Units
@@ -127,7 +128,7 @@ def _size_law(
             of_shares = with_ends(law.share for law in shares) / over[k_sizes - smallest]
             form: Any = {"fmt": "os"[k % 2], "color": (EXACT, SMOOTHED)[k % 2], "markersize": 3, "linewidth": 0.8}
             form["markerfacecolor"] = form["color"] if k % 2 == 0 else "white"
-            bars(ax, k_sizes + 0.12 * k, of_shares, label=label, **form)
+            bars(ax, k_sizes + 0.12 * k, of_shares, label=signs(label), **form)
             ends += [*of_shares[1:].flat]
         if rate.value is not None:
             ax.plot(sizes, fitted(rate.value) / over, color=EXACT, linewidth=1, label="geometric, fit")

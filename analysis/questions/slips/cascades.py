@@ -35,6 +35,7 @@ from stickslip.analysis.findings.place import Place
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS
 from stickslip.analysis.models import fates, pool
+from stickslip.analysis.questions.runs.engines import between_engines
 from stickslip.analysis.questions.slips import cascade_definitions, cascade_figures
 from stickslip.analysis.questions.slips.cascade_figures import Size
 from stickslip.analysis.rows import frame_of
@@ -48,7 +49,7 @@ from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefin
 from stickslip.analysis.stats.families import EXPONENTIAL, POWER_LAW, log_shares, maximise
 from stickslip.analysis.stats.shares import mean_within
 from stickslip.analysis.style import forest
-from stickslip.pipeline.design.labels import Label, apart
+from stickslip.pipeline.design.labels import Label, apart, engine_name
 from stickslip.sim.engines import ENGINES
 
 SHIFTS = 30  # most draws of a run's blocks shifted in time, whose rate is then known better than the run's
@@ -295,13 +296,13 @@ def _of_run(least: int, draws: int, run: Run) -> np.ndarray:
 
 
 def _rates(study: Study, sums: Sums, where: Place) -> list[Level]:
-    """The decay rate beside ln 2 and, as far as known, those of two-state and of shifted blocks."""
+    """The decay rate beside ln 2 and, as far as known, those of shifted and of two-state blocks."""
     level, margin = study.settings.confidence, study.margins.get("gamma")
     nulls: dict[str, Statistic] = {COIN: over_coin}
-    if sums.pool_mean is not None:
-        nulls[TWO_STATE] = lambda rows: gamma(rows) / of_pool(sums.n, rows) - 1
     if sums.is_shifted:
         nulls[SHIFTED] = over_shifted
+    if sums.pool_mean is not None:
+        nulls[TWO_STATE] = lambda rows: gamma(rows) / of_pool(sums.n, rows) - 1
     rate, basis = sums.estimate(gamma, level), Basis(len(sums.rows), systems(study))
     return [
         Level(
@@ -324,7 +325,18 @@ def _findings(study: Study, sums: Sums, where: Place) -> list[Finding]:
     fit = fit_of(gain(sums, level))
     law = Law("cascade sizes", "fall off geometrically", rate, fit, departure, "fall off nearly geometrically",
               called="decay rate")  # fmt: skip
-    return [law, *further, departure]
+    methods = _beside_others(study, sums)
+    return [law, *methods[:1], *further, departure, *methods[1:]]
+
+
+def _beside_others(study: Study, sums: Sums) -> list[Level]:
+    """The decay rate by other engines or their settings beside that of a group, the largest difference first."""
+    label, where, unit = sums.group.label, places(study), systems(study)
+    steps = [step for step in between_engines(study, "gamma") if step.reference == label and sums.smallest == 1]
+    steps.sort(key=lambda step: step.contrast.weight, reverse=True)
+    name = engine_name(sums.group.key["engine"])
+    levels = (step.contrast.level(where[step.setting], name, unit) for step in steps)
+    return [replace(level, quantity=BESIDE) for level in levels]
 
 
 def fit_of(gain: Estimate) -> Fit:

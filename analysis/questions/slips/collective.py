@@ -11,8 +11,8 @@ from matplotlib.ticker import LogLocator, NullLocator
 from stickslip.analysis.answer import Answer, Picture, Question, lack, places, systems
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
-from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Quantity, Reason, Share
-from stickslip.analysis.findings.numbers import number
+from stickslip.analysis.findings.finding import Basis, Finding, Form, Lack, Law, Level, Quantity, Reason
+from stickslip.analysis.findings.numbers import number, signs
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.models.common_motion import SURROGATES, Number, Shown
 from stickslip.analysis.questions.slips.slow_motion import CYCLES, Band, Slow, slow_motion
@@ -32,6 +32,7 @@ Q = Quantity(
     definition="pi times the time in which the motion decays to 1 / e, in natural periods",
 )
 PERIOD = Quantity("period", "natural period of slow common motion", dimension="time")
+SHARE = Quantity("share", f"share of the variance of {N_STICK} that comes from slow common motion", Form.SHARE)
 DEVIANCE = Quantity("deviance", "deviance of the slow spectrum from the fit")
 _METHOD = (
     "Time-shifted blocks are each block's own history, shifted by a random time; slow common motion, with"
@@ -57,23 +58,23 @@ def answer(study: Study) -> Answer:
     level, lead = study.settings.confidence, motions[0]
     exits = exits_of(study, lead.group)
     bands = {motion.group.label: motion.bands(level) for motion in motions[:MOST_GROUPS]}
-    bands_drawn = {label: group for label, group in bands.items() if group}
+    named = {signs(str(places(study)[label]) or label): group for label, group in bands.items() if group}
     leading = _leading(study, lead, exits)
     unit = systems(study)
-    shares = [_share(motion, places(study)[motion.group.label], unit) for motion in motions[1:] if motion.is_shown]
+    others = [_law(motion, places(study)[motion.group.label], unit) for motion in motions[1:] if motion.is_shown]
     where = places(study)[lead.group.label]
     pairs, basis = ((), None) if exits is None else (exits.pairs, Basis(exits.n_units, unit))
     compared = [row.level(where, basis) for row in pairs if row.observed.low is not None]
     return Answer(
-        findings=[*leading, *shares, *compared],
-        n_lead=min(2, len(leading)),
+        findings=[*leading, *others, *compared],
+        n_lead=1 if lead.is_shown else min(2, len(leading)),
         alerts=_alerts(lead, 1 - level),
         method=_METHOD,
         tables={
             "clustering": frame_by(CLUSTERING, pairs),
             "spectrum": frame_of(Band, (band for group in bands.values() for band in group)),
         },
-        figures={"collective": _picture(bands_drawn, lead, where, study.settings.units)} if bands_drawn else {},
+        figures={"collective": _picture(named, lead, where, study.settings.units)} if named else {},
     )
 
 
@@ -93,19 +94,24 @@ def _leading(study: Study, motion: Slow, exits: Exits | None) -> list[Finding]:
     shares = [] if exits is None else triggered(exits, where, unit)
     if not motion.is_shown:
         return [_lacking(motion, where, study.settings), *shares]
-    return [_share(motion, where, unit), *_fit(motion, where, unit), *shares]
+    return [_law(motion, where, unit), *_fit(motion, where, unit), *shares]
 
 
-def _share(motion: Slow, where: Place, unit: str) -> Share:
-    share, basis = motion.fit.estimates[Number.SHARE], Basis(len(motion.units), unit)
-    return Share("share", f"the variance of {N_STICK}", "comes from slow common motion", share, where, basis=basis)
+def _law(motion: Slow, where: Place, unit: str) -> Law:
+    """At what period blocks move together, and how much of the variance that is."""
+    basis, estimates = Basis(len(motion.units), unit), motion.fit.estimates
+    period, share = (
+        Level(quantity, estimates[number], where, basis=basis)
+        for quantity, number in ((PERIOD, Number.PERIOD), (SHARE, Number.SHARE))
+    )
+    together = "move together slowly"
+    return Law("blocks", together, period, scope=share, things="the variance", called="natural period")
 
 
 def _fit(motion: Slow, where: Place, unit: str) -> list[Finding]:
-    """The natural period of slow common motion, Q, and the goodness of their fit."""
+    """Q of slow common motion, and the goodness of its fit."""
     basis, estimates, goodness = Basis(len(motion.units), unit), motion.fit.estimates, motion.goodness
     return [
-        Level(PERIOD, estimates[Number.PERIOD], where, basis=basis),
         Level(Q, estimates[Number.QUALITY], where, basis=basis),
         Level(DEVIANCE, Estimate(goodness.deviance), where + Place.words(f"{goodness.dof} degrees of freedom")),
     ]

@@ -66,6 +66,7 @@ from stickslip.analysis.models.magnitudes import WIDTH, misfit
 from stickslip.analysis.models.magnitudes import Picture as Kind
 from stickslip.analysis.models.recurrence import Bin
 from stickslip.analysis.outcomes import DIFFERENT, UNDECIDED, in_words
+from stickslip.analysis.questions.runs.engines import between_engines
 from stickslip.analysis.rows import Columns, frame_by, frame_of
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio, within
@@ -80,7 +81,8 @@ _METHOD = (
     "An episode lasts from all blocks stuck to all stuck again; its size is the number of blocks that slip, its"
     " moment the sum of their slips, its magnitude log10 of that. Methods are compared"
     " on the same systems: a method differs if its rate of episodes (t test) or its distribution of magnitudes"
-    " (permutation test) does, with p-values adjusted for the number of methods (Holm). A power law is that of the"
+    " (permutation test) does, with p-values adjusted for the number of methods (Holm), or else its rate of slip"
+    " onsets. A power law is that of the"
     " widest range on which the distribution functions of data and law differ by less than 2%, or by chance;"
     " [analysis] magnitude_range fixes the range, so that b of two datasets compares."
 )
@@ -102,7 +104,8 @@ WORDS: Mapping[str, Quantity] = {
     CREEP: Quantity("creep", "share of the belt's travel that is creep of stuck blocks", Form.SHARE),
     OCCUPANCY: Quantity("occupancy", "share of the time in which at least one block slips", Form.SHARE),
 }
-_SCOPE = "the rate and magnitudes of episodes"
+_SCOPE = "the rate and magnitudes of episodes, and the rate of slip onsets"
+ONSETS = "rate of slip onsets"  # by which methods are compared last
 _COMPARED = (RATE, SIZE, DURATION, SLIP)
 IN_RANGE = Quantity("in_range", "share of episodes in the range of b", Form.SHARE)
 BELOW = Quantity("below_range", "share of episodes below the range of b", Form.SHARE)
@@ -240,10 +243,10 @@ def answer(study: Study) -> Answer | None:
         return Answer(findings=[_lack(study, counted)], alerts=alerts, tables=tables)
     lead = _lead(judged)
     leaders = [reference for reference, *_ in by_system if reference.is_judged] or [lead]
-    pairs = compare(study, by_system)
+    pairs = [*compare(study, by_system), *_of_onsets(study, by_system)]
     rates = _rates(counted, _drawn_from(leaders), level)
     tables |= {
-        "episode_contrasts": table_of(pair.step for pair in pairs if pair.name != MAGNITUDES),
+        "episode_contrasts": table_of(pair.step for pair in pairs if pair.name not in (MAGNITUDES, ONSETS)),
         "episode_methods": frame_by(_METHODS, [pair for pair in pairs if pair.name == MAGNITUDES]),
         "episode_b": frame_of(Upper, [Upper(group.label, *row) for group in leaders for row in group.by_least]),
         "episode_rates": frame_of(Frequency, rates),
@@ -329,24 +332,38 @@ def _beside(one: Apart, unit: str) -> Level | None:
     """A rate beside its reference's, or the distance of magnitudes from the reference's."""
     if one.name == RATE:
         return _level(one.setting, RATE, [one], unit)
+    if one.name == ONSETS and isinstance(one.found, Contrast):
+        return one.step.contrast.level(Place.of(one.setting.method), one.reference.method, unit)
     if isinstance(one.found, LawDifference):
         where = Place.of(one.setting.method)
-        return Level(APART, one.found.size, where, basis=Basis(len(one.setting.runs), unit))
+        n_both = len(one.setting.runs.keys() & one.reference.runs.keys())
+        return Level(APART, one.found.size, where, Comparison(one.reference.method), Basis(n_both, unit))
     return None
+
+
+def _of_onsets(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apart]:
+    """How far rates of slip onsets lie apart: a method may keep the episodes, and lose slip onsets in them."""
+    contrasts = {(step.setting, step.reference): step.contrast for step in between_engines(study, "rate")}
+    return [
+        Apart(setting, reference, ONSETS, contrast, contrast.family)
+        for reference, *others in by_system
+        for setting in others
+        if (contrast := contrasts.get((setting.label, reference.label))) is not None
+    ]
 
 
 def _outcomes(
     reference: Catalogues, others: Sequence[Catalogues], apart: Sequence[Apart], unit: str
 ) -> list[Outcomes]:
-    """The settings of a system by what is shown to differ, if anything: the rate, or else the magnitudes."""
+    """The settings of a system by what is shown to differ: the rate, else the magnitudes, else the slip onsets."""
     differing = {(id(pair.setting), pair.name) for pair in apart if pair.is_shown}
     settings = dict(zip(settings_of(others), others, strict=True))
     come_out = {
-        setting: next((name for name in PRIMARY if (id(group), name) in differing), "")
+        setting: next((name for name in (*PRIMARY, ONSETS) if (id(group), name) in differing), "")
         for setting, group in settings.items()
     }
     outcomes = []
-    for name in (*PRIMARY, ""):
+    for name in (*PRIMARY, ONSETS, ""):
         by_id = {id(group): setting for setting, group in settings.items() if come_out[setting] == name}
         apart_most = max(
             (pair for pair in apart if id(pair.setting) in by_id and pair.name == (name or RATE)),
@@ -370,7 +387,7 @@ def _reach(one: Apart) -> float:
     """How far a setting lies from its reference; if no difference is shown, how far it may lie."""
     if not isinstance(one.found, Contrast):
         return 0.0 if isinstance(one.found, str) else one.found.size.value or 0.0
-    difference = one.comparison().difference.estimate
+    difference = one.step.contrast.difference.estimate
     ends = (difference.value,) if one.is_shown else (difference.low, difference.high)
     return max(abs(end or 0.0) for end in ends)
 

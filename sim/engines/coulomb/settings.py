@@ -76,7 +76,7 @@ class Coulomb(Engine):
 
     name = "coulomb"
     title = "exact"
-    about = "exact, event-driven."
+    about = "Coulomb's set-valued law, followed from event to event."
     kernels = "stickslip.sim.engines.coulomb"
     keeps_stills = True
     sizes = (SMALL, SIZE_OF_WAVES)

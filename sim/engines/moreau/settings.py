@@ -33,7 +33,7 @@ class Moreau(Engine):
     """
 
     name = "moreau"
-    about = "time stepping of Moreau and Jean, to compare with: no event is located."
+    about = "time steps of Moreau and Jean under Coulomb's law, to compare with; no event is located."
     kernels = "stickslip.sim.engines.moreau"
     keeps_stills = True
     takes = frozenset({"static"})
