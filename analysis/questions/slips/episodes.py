@@ -267,8 +267,7 @@ def answer(study: Study) -> Answer | None:
         for outcome in _outcomes(reference, settings, pairs, basis)
     ]
     (law, *beside), changes = pictures[0], _changes(leaders, level, basis)
-    rate, shown_first = _level(lead, RATE, pairs, basis), sorted(pairs, key=lambda pair: not pair.is_shown)
-    distances = [row for pair in shown_first if (row := _beside(pair, basis)) is not None]
+    rate, distances = _level(lead, RATE, pairs, basis), _distances(pairs, outcomes, basis)
     others = [*itertools.chain(*pictures[1:])]
     findings: list[Finding] = [law, *beside, rate, *others, *distances]
     if outcomes:
@@ -326,6 +325,14 @@ def _levels(
         # without the strain, which may fall, slip in episodes is no share of the travel
         if group.estimates[name].value is not None and (name != SLIP or group.estimates[STORED].value is not None)
     ]
+
+
+def _distances(pairs: Sequence[Apart], outcomes: Sequence[Outcomes], unit: str) -> list[Level]:
+    """Each setting beside its reference: first what is said of outcomes, then what is shown to differ."""
+    shown_first = sorted(pairs, key=lambda pair: not pair.is_shown)
+    rows = [row for pair in shown_first if (row := _beside(pair, unit)) is not None]
+    said = [outcome.largest for outcome in outcomes]
+    return sorted(rows, key=lambda row: row not in said)
 
 
 def _beside(one: Apart, unit: str) -> Level | None:
