@@ -10,6 +10,7 @@ from stickslip.analysis.answer import Answer, Question, Table
 from stickslip.analysis.contrast import contrast
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.finding import Alike, Decided, Form, Quantity, Truth
+from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import capital, listed, plural
 from stickslip.analysis.groups import Group
@@ -23,7 +24,7 @@ from stickslip.analysis.page.layout import Table as PageTable
 from stickslip.analysis.rows import frame_of
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.steps import Kind, Setting, Step, few, judged_together, table_of
-from stickslip.pipeline.design.labels import Label, apart
+from stickslip.pipeline.design.labels import Label, apart, engines_in_words
 from stickslip.pipeline.design.values import text
 
 #: Keys that two settings must share: with another n or coupling, a statistic is not the same quantity.
@@ -95,7 +96,9 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     steps = judged_together(unjudged, 1 - settings.confidence)
     lost = [row for k, ensemble in enumerate((first, second)) for row in _lost(ensemble.name, groups[k], k, matches)]
     tables = {"changes": table_of(steps), "alone": frame_of(Alone, lost)}
-    notes = [*_of_matches(matches, unit), *_of_lost(lost), *_of_settings(first, second, settings)]
+    engines = {group.key["engine"] for side in groups for group in side}
+    laws = [signs(engines_in_words(engines))] * (len(engines) > 1)  # else no name tells them apart
+    notes = [*_of_matches(matches, unit), *_of_lost(lost), *_of_settings(first, second, settings), *laws]
     return _report(first, second, _answer(first.name, second.name, steps, tables, unit), notes)
 
 
