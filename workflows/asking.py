@@ -22,11 +22,6 @@ if TYPE_CHECKING:
     from stickslip.pipeline.running.cluster import Scheduling
 
 MOST_PROCESSES = 4  # there are few questions, and the longest one takes its time
-#: Members from which on the processes share the runs instead of the questions: going through the runs is most of it,
-#: and what each process knows of the members fills the memory.
-_MANY = 20_000
-#: Bytes of data from which more processes answer: each takes a second of its core to load what it needs.
-_LARGE = 50_000_000
 #: Runs that a process is asked about together, at least: opening their shards takes two milliseconds.
 _LEAST = 2_000
 
@@ -62,7 +57,7 @@ class Asking:
         self.own, self.with_pdf, self._workers, self._scheduler = own, with_pdf, workers, scheduler
         self._stack = ExitStack()
         self._is_spread = workers is not None or scheduler is not None
-        is_alone = self._is_spread or (opened is not None and _is_small(opened))
+        is_alone = self._is_spread or (opened is not None and opened.is_small)
         n_children = 0 if is_alone else min(n_cores(), MOST_PROCESSES) - 1
         self._children = self._stack.enter_context(Children(n_children, _load))
 
@@ -105,6 +100,7 @@ class Asking:
 
     def _executor(self, stack: ExitStack, opened: Opened, study: Study) -> Executor:
         """Where questions are answered; where their functions are put to runs, the study is told."""
+        from stickslip.pipeline.dataset.opened import MANY
         from stickslip.workflows.parts import Parts
 
         if self._is_spread:
@@ -119,14 +115,10 @@ class Asking:
             there = replace(opened, place=opened.place.from_anywhere)
             study.put = Parts(there, study.settings, workers)
             return Here()
-        if opened.n_done >= _MANY:
+        if opened.n_done >= MANY:
             study.put = Parts(opened, study.settings, self._children, _LEAST)
             return Here()
         return self._children
-
-
-def _is_small(opened: Opened) -> bool:
-    return opened.n_done < _MANY and sum(shard.bytes for shard in opened.manifest.shards.values()) < _LARGE
 
 
 def _load() -> None:

@@ -31,6 +31,7 @@ from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.query import (
+    Shards,
     all_events,
     by_threshold,
     episodes,
@@ -72,7 +73,7 @@ def study_of(path: Where | Opened, whole: bool = False) -> Study:
 
 def _data(opened: Opened, whole: bool = False) -> Data:
     """A dataset as the analysis sees it, its series read where they are asked for."""
-    scene, names = opened.scene, scalar_names(opened)
+    scene, names, shards = opened.scene, scalar_names(opened), Shards(opened)
     columns_kept = [column for record in scene.records_in_order for column in record.kept if column.is_number]
     values, problems = {column.name: list[np.ndarray]() for column in columns_kept}, dict[str, dict[str, str]]()
     by_users = () if scene.own_record is None else scene.own_record.kept
@@ -94,9 +95,18 @@ def _data(opened: Opened, whole: bool = False) -> Data:
                     problems.setdefault(name, {})[member_id] = printable(why)
         return _prepared(scene, frame).assign(**coordinates._asdict())
 
+    columns = (column for record in scene.records for column in record.columns)
+    with_members = partial(  # before these are read: of a small dataset all but lists is read with them
+        Data,
+        series=series(shards),
+        events=all_events(shards),
+        separations=separations(shards),
+        thresholds=by_threshold(shards),
+        lists={column.name: lists(opened, column.name) for column in columns if column.kind == "numbers"},
+    )
     # the design has parameters, which may have a name that the analysis gives a column
     names_read = [name for name in names if name not in scene.parameters and (whole or name not in _UNASKED)]
-    table = Members.of(starmap(prepared, members_in_parts(opened, names_read)), opened.design)
+    table = Members.of(starmap(prepared, members_in_parts(shards, names_read)), opened.design)
     pa.default_memory_pool().release_unused()  # else what reading took would stay taken, 150 bytes a member
     recorded = {
         column.name: Recorded(
@@ -115,17 +125,10 @@ def _data(opened: Opened, whole: bool = False) -> Data:
         )
         for column in columns_kept
     }
-    columns = (column for record in scene.records for column in record.columns)
-    names_of_lists = [column.name for column in columns if column.kind == "numbers"]
-    return Data(
+    return with_members(
         table,
-        series=series(opened),
-        events=all_events(opened),
-        separations=separations(opened),
-        thresholds=by_threshold(opened),
         episodes=episodes(opened) if scene.record.episodes else None,
         recorded=recorded,
-        lists={name: lists(opened, name) for name in names_of_lists},
         is_loaded=scene.run.load is not None,
         again=partial(_again, opened),
     )

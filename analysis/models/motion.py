@@ -15,7 +15,7 @@ from stickslip.analysis.stats.quantities import SUMS
 
 LULL = 20.0  # dimensionless: longer than a period of the slowest block of the paper's systems, about 15
 #: Change points and runs that are worked on at once.
-POINTS, RUNS = 1 << 19, 1 << 13
+POINTS, RUNS = 1 << 17, 1 << 13
 #: Columns of `Motion.sums` by name: those of `quantities.SUMS`; n_stick in the two halves of the window, and
 #: `early_and_late`; its integral and the time without lulls; and whether the window is too short for a correlation
 #: time or has none.

@@ -76,31 +76,26 @@ class Series(Protocol):
 
 @dataclass(frozen=True)
 class Run:
-    """A run, as a function that is put to each of them is given it.
+    """A run, as a function that is put to each of them is given it; what it recorded is looked up when asked for."""
 
-    Attributes
-    ----------
-    win : Window
-        n_stick on [t_burn, t_end].
-    events : Events or None
-        None if the run recorded none.
-    seed : int
-        Of the analysis.
-    """
-
+    runs: Runs
     member_id: str
-    win: Window
-    events: Events | None
-    seed: int
+    t_end: float
+
+    @cached_property
+    def win(self) -> Window:
+        """n_stick on [t_burn, t_end]; raises as `Runs.window`."""
+        return self.runs.window(self.member_id, self.t_end)
 
     @cached_property
     def steps(self) -> BlockSteps | None:
         """Each block's changes in the window; None if the run recorded no events."""
-        return None if self.events is None else block_steps(*self.events, self.win.t_start, self.win.t_stop)
+        events = self.runs.events.get(self.member_id)
+        return None if events is None else block_steps(*events, self.runs.t_burn, self.t_end)
 
     def generator(self) -> np.random.Generator:
         """A new generator of the run's own random numbers."""
-        return generator(self.seed, self.member_id)
+        return generator(self.runs.seed, self.member_id)
 
 
 @dataclass(frozen=True)
@@ -161,15 +156,11 @@ class Runs:
         """
         return named_window(self.points(member_id), member_id, self.t_burn, t_end)
 
-    def run(self, member_id: str, t_end: float) -> Run:
-        """A run; raises as `window`."""
-        return Run(member_id, self.window(member_id, t_end), self.events.get(member_id), self.seed)
-
     def sums(self, some: Ended, of: Callable[[Run], np.ndarray | None]) -> dict[int, np.ndarray]:
         """By unit, the sums of what a function gives of some runs, flat, and at the end how many gave something."""
         totals: dict[int, np.ndarray] = {}
         for member_id, unit, t_end in zip(some.member_id, some.unit.tolist(), some.t_end.tolist(), strict=True):
-            values = of(self.run(str(member_id), t_end))
+            values = of(Run(self, str(member_id), t_end))
             if values is not None:
                 totals[unit] = totals.get(unit, 0.0) + np.append(values, 1.0)
         return totals

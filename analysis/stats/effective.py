@@ -23,7 +23,7 @@ LEAST_SAMPLES = 256
 SAMPLES_A_CHANGE = 16  # enough for a window with few changes
 SOKAL_WINDOW = 5.0  # sum the autocorrelation up to the first lag >= 5 tau (Sokal 1997, section 3)
 SHORT_WINDOW = 20.0  # in a window of fewer correlation times, the estimate of tau itself is too low
-_TOGETHER = 1 << 20  # samples whose spectra are in memory at once
+_TOGETHER = 1 << 18  # samples whose spectra are in memory at once
 
 
 def correlation_times(runs: Windows) -> np.ndarray:

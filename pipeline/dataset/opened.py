@@ -39,6 +39,13 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+#: Members from which on processes share the runs: going through these is most of a report, and what is known of the
+#: members fills the memory.
+MANY = 20_000
+#: Bytes of data from which more processes answer: each takes a second of its core to load what it needs.
+_LARGE = 50_000_000
+
+
 @dataclass(frozen=True)
 class Opened:
     """A dataset at one moment: where it lies, its scene, and its manifest with what the record adds to it."""
@@ -82,6 +89,12 @@ class Opened:
     def n_done(self) -> int:
         """How many of them are done."""
         return sum(shard.rows for shard in self.manifest.shards.values())
+
+    @property
+    def is_small(self) -> bool:
+        """Whether one process looks through it, with all of it in memory."""
+        n_bytes = sum(shard.bytes for shard in self.manifest.shards.values())
+        return self.n_done < MANY and n_bytes < _LARGE
 
     def in_parts(self, n_least: int) -> list[list[str]]:
         """The shards that the manifest lists, neighbours together, of so many members at least but for the last."""

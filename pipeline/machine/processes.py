@@ -41,7 +41,7 @@ def environment_kept() -> Iterator[None]:
 
 @contextlib.contextmanager
 def loading() -> Iterator[None]:
-    """Within: modules are loaded. They stay, so the garbage collector skips them, now and later."""
+    """Within: modules are loaded. They stay, so the garbage collector skips them, now, later and at the end."""
     gc.disable()
     try:
         yield

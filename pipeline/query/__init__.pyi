@@ -1,6 +1,7 @@
 from .database import answer as answer
 from .database import sql as sql
 from .frames import QueryError as QueryError
+from .frames import Shards as Shards
 from .frames import all_events as all_events
 from .frames import by_threshold as by_threshold
 from .frames import clusters as clusters

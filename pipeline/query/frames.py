@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "QueryError",
+    "Shards",
     "all_events",
     "by_threshold",
     "clusters",
@@ -53,13 +54,15 @@ Filters: TypeAlias = pc.Expression | list[tuple[Any, ...]]
 #: Rows of the members table that are read together, at least.
 _ROWS = 50_000
 
-#: Bytes of series that are in memory at once: a small dataset is read once, a large one again and again.
-_KEPT = 100_000_000
+#: Bytes of series, events and lists that are in memory at once: a large dataset is read again and again.
+_KEPT = 150_000_000
 #: Bytes of a member's name in memory, with its place among the others.
 _OF_NAMES = 300
 #: But at least this many shards: those of a run and of the one that it is compared with.
 _SHARDS_KEPT = 2
 
+#: A dataset, opened before or not, or its shards as other readers keep them.
+Source: TypeAlias = "Where | Opened | Shards"
 _Value = TypeVar("_Value", covariant=True)
 
 _Events: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -107,18 +110,19 @@ def scalar_names(path: Where | Opened) -> tuple[str, ...]:
     return scalars(open_dataset(path).schema)
 
 
-def members_in_parts(path: Where | Opened, columns: Sequence[str]) -> Iterator[tuple[pd.DataFrame, Coordinates]]:
+def members_in_parts(path: Source, columns: Sequence[str]) -> Iterator[tuple[pd.DataFrame, Coordinates]]:
     """The members table as data frames of some `_ROWS` rows, read one after the other; and where these stand.
 
     A column has a nullable type where it holds nulls in that part.
     """
-    opened = open_dataset(path)
-    for shards in opened.in_parts(_ROWS):
+    shards = Shards.of(path)
+    opened = shards.opened
+    for names in opened.in_parts(_ROWS):
         tables = []
-        for name, table in opened.stored(columns, shards):
+        for name, table in shards.stored(columns, names):
             opened.check_members(name, table)
             tables.append(table)
-        yield frame(in_units(pa.concat_tables(tables), opened.recording)), opened.coordinates(shards)
+        yield frame(in_units(pa.concat_tables(tables), opened.recording)), opened.coordinates(names)
 
 
 def dask_members(
@@ -286,48 +290,48 @@ def _member_row(opened: Opened, member_id: str, columns: list[str]) -> dict[str,
     return {name: rows[name][0] for name in columns}
 
 
-def series(path: Where | Opened) -> Series:
+def series(path: Source) -> Series:
     """t and n_stick as of `n_stick` by member_id. Failed members, which have no series, are left out."""
-    return Series(open_dataset(path), "t", ["t", "n_stick"], lambda row: (row("t"), row("n_stick")))
+    return Series(path, "t", ["t", "n_stick"], lambda row: (row("t"), row("n_stick")))
 
 
-def all_events(path: Where | Opened) -> Recorded[_Events]:
+def all_events(path: Source) -> Recorded[_Events]:
     """Times, blocks and modes of events, and the modes at t = 0, by member_id; empty if they are not recorded."""
     t, block, mode, initial_mode = names = _EVENT_COLUMNS[:4]
 
     def entry(row: _Row) -> _Events:
         return row(t), row(block), row(mode), row(initial_mode)
 
-    return Recorded(open_dataset(path), t, names, entry)
+    return Recorded(path, t, names, entry)
 
 
-def ends(path: Where | Opened) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def ends(path: Source) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """z and w at the end by member_id; empty if they are not recorded."""
-    return Recorded(open_dataset(path), "z_end", ["z_end", "w_end"], lambda row: (row("z_end"), row("w_end")))
+    return Recorded(path, "z_end", ["z_end", "w_end"], lambda row: (row("z_end"), row("w_end")))
 
 
-def lists(path: Where | Opened, column: str) -> Recorded[NDArray[np.float64]]:
+def lists(path: Source, column: str) -> Recorded[NDArray[np.float64]]:
     """A column of lists of numbers by member_id; empty if it is not recorded."""
-    return Recorded(open_dataset(path), column, [column], lambda row: row(column))
+    return Recorded(path, column, [column], lambda row: row(column))
 
 
-def separations(path: Where | Opened) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def separations(path: Source) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Times and distance from the unchanged run by member_id of changed ones; empty if they are not recorded.
 
     The distance is the root of the mean over blocks of dz^2 + dw^2, as far as both runs go.
     """
-    opened = open_dataset(path)
-    step = opened.scene.record.separation
+    shards = Shards.of(path)
+    step = shards.opened.scene.record.separation
 
     def entry(row: _Row) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         assert step is not None  # there would be no such column
         distance: NDArray[np.float64] = row("separation")
         return step * np.arange(len(distance), dtype=np.float64), distance
 
-    return Recorded(opened, "separation", ["separation"], entry)
+    return Recorded(shards, "separation", ["separation"], entry)
 
 
-def by_threshold(path: Where | Opened) -> Recorded[dict[float, tuple[NDArray[np.float64], NDArray[np.int32]]]]:
+def by_threshold(path: Source) -> Recorded[dict[float, tuple[NDArray[np.float64], NDArray[np.int32]]]]:
     """t and n_stick by threshold, for further definitions of sticking, by member_id; empty without `thresholds`."""
 
     def entry(row: _Row) -> dict[float, tuple[NDArray[np.float64], NDArray[np.int32]]]:
@@ -336,69 +340,108 @@ def by_threshold(path: Where | Opened) -> Recorded[dict[float, tuple[NDArray[np.
             series["threshold"].as_py(): (_array(series["t"]) * unit, _array(series["n_stick"])) for series in entries
         }
 
-    opened = open_dataset(path)
-    unit = 1.0 if opened.scene.scales is None else opened.scene.scales.time
-    return Recorded(opened, "by_threshold", ["by_threshold"], entry)
+    shards = Shards.of(path)
+    unit = 1.0 if shards.opened.scene.scales is None else shards.opened.scene.scales.time
+    return Recorded(shards, "by_threshold", ["by_threshold"], entry)
 
 
 #: What a column holds in one row: an array where it is a list of numbers, else an Arrow scalar.
 _Row = Callable[[str], Any]
 
 
+class Shards:
+    """The shards of a dataset of which its readers take rows: the last ones stay in memory, `_KEPT` bytes.
+
+    As long as there is room for all of a small dataset, a shard is read once, with what any of the readers asks for.
+    """
+
+    def __init__(self, opened: Opened) -> None:
+        self.opened, self.names = opened, sorted(opened.manifest.shards)
+        self.columns = list[str]()  #: of all readers
+        self._is_whole = opened.is_small
+        self._kept: dict[str, _Shard] = {}  # the last one was read last
+
+    @classmethod
+    def of(cls, path: Source) -> Shards:
+        """Those of a dataset, or those given."""
+        return path if isinstance(path, Shards) else cls(open_dataset(path))
+
+    def stored(self, columns: Sequence[str], names: Sequence[str]) -> Iterator[tuple[str, pa.Table]]:
+        """As `Opened.stored`; what readers ask for is read at once if all of it is."""
+        also = ["member_id", *self.columns] if self._is_whole else []
+        for name, table in self.opened.stored([*dict.fromkeys([*columns, *also])], names):
+            if also:
+                self._keep(name, table.select(also))
+            yield name, table.select(columns)
+
+    def shard(self, k: int, columns: Sequence[str]) -> _Shard:
+        """A shard with these columns at least, by its place."""
+        name = self.names[k]
+        there = self._kept[name].columns if name in self._kept else {}
+        lacking = [column for column in ("member_id", *columns) if column not in there]
+        if lacking:
+            wanted = ["member_id", *self.columns] if self._is_whole else lacking
+            ((_, table),) = self.opened.stored(wanted, [name])
+            self._keep(name, table)
+        return self._kept[name]
+
+    def _keep(self, name: str, table: pa.Table) -> None:
+        scaled = in_units(table, self.opened.recording)
+        columns = self._kept.pop(name).columns if name in self._kept else {}
+        shard = _Shard({**columns, **{column: joined(scaled[column]) for column in scaled.column_names}})
+        n_bytes = shard.n_bytes + sum(kept.n_bytes for kept in self._kept.values())
+        while len(self._kept) >= _SHARDS_KEPT and n_bytes > _KEPT:
+            n_bytes -= self._kept.pop(next(iter(self._kept))).n_bytes
+            self._is_whole = False
+        self._kept[name] = shard
+
+
 class Recorded(Mapping[str, _Value]):
     """What a dataset recorded of its members, by member_id, in order; a shard is read when one of them is asked for.
 
-    The last shards stay in memory, `_KEPT` bytes of them: ask in the order of the members.
+    Ask in the order of the members: then none is read twice.
     """
 
-    def __init__(self, opened: Opened, recorded: str, columns: list[str], entry: Callable[[_Row], _Value]) -> None:
-        self._opened, self._recorded, self._columns, self._entry = opened, recorded, columns, entry
-        self._names = sorted(opened.manifest.shards) if recorded in opened.schema.names else []
-        self._kept: dict[int, _Shard] = {}  # the last one was read last
-        self._next = (0, 0)  # shard and row after those that were asked for last
+    def __init__(self, path: Source, recorded: str, columns: Sequence[str], entry: Callable[[_Row], _Value]) -> None:
+        self._shards, self._recorded, self._columns, self._entry = Shards.of(path), recorded, columns, entry
+        is_there = recorded in self._shards.opened.schema.names
+        self._numbers = range(len(self._shards.names) if is_there else 0)
+        self._shards.columns += columns if is_there else []
+        self._last = 0  # the shard of the member that was asked for last
 
     def _shard(self, k: int) -> _Shard:
-        if k not in self._kept:
-            ((_, stored),) = self._opened.stored(["member_id", *self._columns], [self._names[k]])
-            table = in_units(stored, self._opened.recording)
-            table = table.filter(pc.is_valid(table[self._recorded]))
-            while len(self._kept) >= _SHARDS_KEPT and self._n_bytes() + table.nbytes > _KEPT:
-                del self._kept[next(iter(self._kept))]
-            self._kept[k] = _Shard(table)
-        return self._kept[k]
+        return self._shards.shard(k, self._columns)
 
-    def _n_bytes(self) -> int:
-        return sum(shard.n_bytes for shard in self._kept.values())
-
-    def _at(self, k: int, row: int) -> _Value:
-        return self._entry(self._shard(k).row(row))
+    def _rows(self, k: int) -> dict[str, int]:
+        return self._shard(k).rows(self._recorded)
 
     @cached_property
-    def _place(self) -> dict[str, tuple[int, int]]:
-        """Shard and row of each member."""
-        names = (self._shard(k).member_ids for k in range(len(self._names)))
-        return {name: (k, row) for k, ids in enumerate(names) for row, name in enumerate(ids)}
+    def _place(self) -> dict[str, int]:
+        """The shard of each member."""
+        return {name: k for k in self._numbers for name in self._rows(k)}
+
+    def _shard_of(self, key: str) -> int:
+        """Of a member, as a rule that of the one before or the next: in their order no place is looked up."""
+        likely = (k % len(self._numbers) for k in (self._last, self._last + 1)) if self._numbers else ()
+        k = next((k for k in likely if key in self._rows(k)), None)
+        self._last = self._place[key] if k is None else k
+        return self._last
 
     def __getitem__(self, key: str) -> _Value:
-        k, row = self._next  # in the order of the members no place has to be looked up
-        while k < len(self._names) and row == len(self._shard(k).member_ids):
-            k, row = k + 1, 0
-        if k == len(self._names) or self._shard(k).member_ids[row] != key:
-            k, row = self._place[key]
-        self._next = k, row + 1
-        return self._at(k, row)
+        shard = self._shard(self._shard_of(key))
+        return self._entry(shard.row(shard.rows(self._recorded)[key]))
 
     def __contains__(self, key: object) -> bool:
         return key in self._place
 
     def __iter__(self) -> Iterator[str]:
-        return itertools.chain.from_iterable(self._shard(k).member_ids for k in range(len(self._names)))
+        return itertools.chain.from_iterable(map(self._rows, self._numbers))
 
     def __len__(self) -> int:
-        return len(self._place)
+        return sum(len(self._rows(k)) for k in self._numbers)
 
     def __bool__(self) -> bool:
-        return any(self._shard(k).member_ids for k in range(len(self._names)))  # it need not read them all
+        return any(map(self._rows, self._numbers))  # it need not read them all
 
 
 class Series(Recorded[tuple[NDArray[np.float64], NDArray[np.int32]]]):
@@ -420,51 +463,43 @@ class Series(Recorded[tuple[NDArray[np.float64], NDArray[np.int32]]]):
         """
         n_done = 0
         while n_done < len(member_ids):
-            k = next((k for k in self._likely() if member_ids[n_done] in self._shard(k).rows), None)
-            if k is None:
-                k, _ = self._place[member_ids[n_done]]
-            self._next = k, 0
-            shard, rows = self._shard(k), list[int]()
-            for name in itertools.islice(member_ids, n_done, None):
-                if name not in shard.rows:
-                    break
-                rows.append(shard.rows[name])
-            starts, t, level = shard.together(np.array(rows))
+            shard = self._shard(self._shard_of(member_ids[n_done]))
+            row_of = shard.rows(self._recorded)
+            waiting = itertools.islice(member_ids, n_done, None)
+            rows = [row_of[name] for name in itertools.takewhile(row_of.__contains__, waiting)]
+            starts, t, level = shard.together(self._columns, np.array(rows))
             yield starts, t, level
             n_done += len(rows)
-
-    def _likely(self) -> range:
-        """The shard that was read last and the one after it: in the order of the members no place is looked up."""
-        return range(self._next[0], min(self._next[0] + 2, len(self._names)))
 
 
 class _Shard:
     """Columns of a shard in memory, of which rows are taken quickly."""
 
-    def __init__(self, table: pa.Table) -> None:
-        self.n_bytes = table.nbytes + _OF_NAMES * len(table)
-        columns = {name: joined(table[name]) for name in table.column_names}
-        self.member_ids: list[str] = columns.pop("member_id").to_pylist()
-        self._lists, self._others = dict[str, tuple[np.ndarray, np.ndarray]](), dict[str, pa.Array]()
-        for name, column in columns.items():
-            if pa.types.is_primitive(column.type.value_type):
-                values = column.values.to_numpy(zero_copy_only=False)  # noqa: PD011  an Arrow array, no data frame
-                self._lists[name] = values, column.offsets.to_numpy()
-            else:
-                self._others[name] = column
+    def __init__(self, columns: dict[str, pa.Array]) -> None:
+        self.columns, self._rows = columns, dict[str, dict[str, int]]()
+        self.n_bytes = sum(array.nbytes for array in columns.values()) + _OF_NAMES * len(columns["member_id"])
+        self._lists = {
+            name: (array.values.to_numpy(zero_copy_only=False), array.offsets.to_numpy())  # noqa: PD011  of Arrow
+            for name, array in columns.items()
+            if name != "member_id" and pa.types.is_primitive(array.type.value_type)
+        }
 
-    @cached_property
-    def rows(self) -> dict[str, int]:
-        """The row of each member."""
-        return {name: k for k, name in enumerate(self.member_ids)}
+    def rows(self, recorded: str) -> dict[str, int]:
+        """The row of each member of which a column is known."""
+        if recorded not in self._rows:
+            is_known = self.columns[recorded].is_valid().to_pylist()
+            names = self.columns["member_id"].to_pylist()
+            self._rows[recorded] = {name: k for k, name in enumerate(names) if is_known[k]}
+        return self._rows[recorded]
 
-    def together(self, rows: NDArray[np.int64]) -> list[np.ndarray]:
+    def together(self, columns: Sequence[str], rows: NDArray[np.int64]) -> list[np.ndarray]:
         """Where lists of some rows begin, if they lie one after the other, their length, and the lists of each name.
 
         Raises `pyarrow.ArrowInvalid` if lists of one row differ in length.
         """
         starts, places, arrays = np.zeros(1, np.int64), np.zeros(0, np.int64), list[np.ndarray]()
-        for name, (values, begins) in self._lists.items():
+        for name in columns:
+            values, begins = self._lists[name]
             lengths = begins[rows + 1] - begins[rows]
             bounds = np.concatenate(([0], np.cumsum(lengths)))
             if arrays and not np.array_equal(bounds, starts):
@@ -477,7 +512,7 @@ class _Shard:
     def row(self, k: int) -> _Row:
         def at(name: str) -> Any:
             if name not in self._lists:
-                return self._others[name][k]
+                return self.columns[name][k]
             values, offsets = self._lists[name]
             return values[offsets[k] : offsets[k + 1]]
 

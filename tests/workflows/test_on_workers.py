@@ -10,6 +10,7 @@ import pytest
 from stickslip.analysis.page.parts import ask
 from stickslip.analysis.questions import package_questions
 from stickslip.pipeline import parse_scene, run_ensemble
+from stickslip.pipeline.dataset import opened
 from stickslip.pipeline.dataset.opened import open_dataset
 from stickslip.pipeline.ensemble import pack
 from stickslip.pipeline.machine.processes import ChildDied
@@ -148,7 +149,7 @@ def test_what_a_process_dies_of_is_seen_here(in_shards):
 def test_a_report_of_many_runs_is_that_of_few(in_shards, monkeypatch):
     """From some number on processes share the runs, and the table of members is read in parts."""
     plain = report(in_shards)
-    monkeypatch.setattr(asking, "_MANY", 1)
+    monkeypatch.setattr(opened, "MANY", 1)
     monkeypatch.setattr(asking, "_LEAST", 7)
     monkeypatch.setattr(frames, "_ROWS", 11)
     with asking.Asking() as put:

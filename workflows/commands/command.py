@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import ClassVar
+
+from stickslip.pipeline.machine.processes import loading
 
 #: Exit codes, as the help of the whole command explains them.
 DONE, UNFINISHED, WRONG = 0, 1, 2
@@ -39,6 +41,11 @@ class Command(ABC):
         Beside its own arguments it finds `is_program`, whether this process is the command's own, and `parser`, that
         of the whole command.
         """
+
+
+def loads(arguments: argparse.Namespace) -> AbstractContextManager[None]:
+    """`loading`, in the command's own process: what a command loads and finds stays until it ends."""
+    return loading() if arguments.is_program else nullcontext()
 
 
 def add_places(parser: argparse.ArgumentParser) -> None:

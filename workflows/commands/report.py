@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import gc
 import sys
 from typing import TYPE_CHECKING
 
 from stickslip.pipeline.errors import command, printable
-from stickslip.workflows.commands.command import DONE, UNFINISHED, Command, Wrong, add_clusters, count
+from stickslip.workflows.commands.command import DONE, UNFINISHED, Command, Wrong, add_clusters, count, loads
 
 if TYPE_CHECKING:
     from stickslip.analysis import Report as Built
@@ -47,6 +46,10 @@ class Report(Command):
         add_clusters(where, parser)
 
     def __call__(self, arguments: argparse.Namespace) -> int:
+        with loads(arguments):
+            return self._written(arguments)
+
+    def _written(self, arguments: argparse.Namespace) -> int:
         if arguments.compare is None:
             if arguments.out is not None:
                 raise Wrong("--out: expected with --compare alone; a report belongs to its dataset")
@@ -105,17 +108,13 @@ def write_report(directory: Where | Opened, asking: Asking, watch: Watch | None 
 
 
 def _build(opened: Opened, asking: Asking, watch: Watch | None) -> Built:
-    gc.disable()  # what is loaded and found stays: no need to look through all of it again and again
-    try:
-        from stickslip.workflows.progress import Watch
-        from stickslip.workflows.reporting import report
+    from stickslip.workflows.progress import Watch
+    from stickslip.workflows.reporting import report
 
-        with Watch(opened.place) if watch is None else watch as bar:
-            built = report(opened, asking, bar.answered)
-        publish(built, opened.place)
-        return built
-    finally:
-        gc.enable()
+    with Watch(opened.place) if watch is None else watch as bar:
+        built = report(opened, asking, bar.answered)
+    publish(built, opened.place)
+    return built
 
 
 def publish(built: Built, where: Where) -> None:

@@ -14,9 +14,9 @@ from threading import Thread
 from typing import TYPE_CHECKING
 
 from stickslip.pipeline.errors import command, printable
-from stickslip.pipeline.machine.processes import forked_workers, loading
+from stickslip.pipeline.machine.processes import forked_workers
 from stickslip.pipeline.machine.signals import Interrupted
-from stickslip.workflows.commands.command import DONE, UNFINISHED, Command, Wrong, add_places
+from stickslip.workflows.commands.command import DONE, UNFINISHED, Command, Wrong, add_places, loads
 from stickslip.workflows.commands.report import check_no_ensemble, publish, write_report
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ def _run(
     kept: Opened | None,
     asking: Asking | None,
 ) -> int:
-    with loading() if arguments.is_program else nullcontext():
+    with loads(arguments):
         from stickslip.pipeline import run_ensemble
         from stickslip.pipeline.machine.signals import last_act
         from stickslip.pipeline.places.directory import Directory
@@ -185,7 +185,8 @@ def _run(
                 kept=kept,
             )
             if asking is not None:
-                is_answered = write_report(out, asking, watch)
+                with loads(arguments):
+                    is_answered = write_report(out, asking, watch)
     except Interrupted as interrupt:
         how_to_go_on()
         return interrupt.exit_code
