@@ -308,18 +308,8 @@ class Study:
         """The kind of unit that most groups have."""
         return Counter(group.unit for group in self.groups).most_common(1)[0][0]
 
-    def window(self, member_id: str, t_end: float) -> Window:
-        """n_stick of a member on [t_burn, t_end].
-
-        Raises
-        ------
-        ValueError
-            If it has no change points, or they are not a series; the error names the member.
-        """
-        return self.runs.window(member_id, t_end)
-
     def by_threshold(self, member_id: str, t_end: float) -> tuple[list[float], Windows] | None:
-        """The further thresholds of a member and n_stick on [t_burn, t_end] under each, if any; raises as it does."""
+        """The further thresholds of a member and its windows of n_stick under each, if any; raises as `windows`."""
         series = self.data.thresholds.get(member_id)
         if not series:
             return None
@@ -348,7 +338,7 @@ class Study:
         moving = group.moving
         columns = (moving[name] for name in ("unit", "member_id", "t_end"))
         for unit, member_id, t_end in zip(*columns, strict=True):
-            yield row_of[int(unit)], str(member_id), self.window(str(member_id), float(t_end))
+            yield row_of[int(unit)], str(member_id), self.runs.window(str(member_id), float(t_end))
 
     def mean(
         self,

@@ -154,7 +154,11 @@ class Runs:
         ValueError
             If it has no change points, or they are not a series; the error names the member.
         """
-        return named_window(self.points(member_id), member_id, self.t_burn, t_end)
+        points = self.points(member_id)
+        try:
+            return window(*points, self.t_burn, t_end)
+        except ValueError as error:
+            raise no_series(member_id, error) from error
 
     def sums(self, some: Ended, of: Callable[[Run], np.ndarray | None]) -> dict[int, np.ndarray]:
         """By unit, the sums of what a function gives of some runs, flat, and at the end how many gave something."""
@@ -176,14 +180,6 @@ class Put(Protocol):
     def __call__(
         self, of: Callable[..., T], some: Ended, beside: Ended | None = None
     ) -> Sequence[tuple[Sequence[int], T]]: ...
-
-
-def named_window(points: ChangePoints, member_id: str, t_start: float, t_stop: float) -> Window:
-    """`window`, whose errors name the member."""
-    try:
-        return window(*points, t_start, t_stop)
-    except ValueError as error:
-        raise no_series(member_id, error) from error
 
 
 def _lacking(member_id: str) -> ValueError:

@@ -421,11 +421,13 @@ class Recorded(Mapping[str, _Value]):
         return {name: k for k in self._numbers for name in self._rows(k)}
 
     def _shard_of(self, key: str) -> int:
-        """Of a member, as a rule that of the one before or the next: in their order no place is looked up."""
-        likely = (k % len(self._numbers) for k in (self._last, self._last + 1)) if self._numbers else ()
-        k = next((k for k in likely if key in self._rows(k)), None)
-        self._last = self._place[key] if k is None else k
-        return self._last
+        """That of a member: as long as these are in order, the one before or the next, so that none is looked up."""
+        if self._numbers and "_place" not in vars(self):
+            for k in (self._last, (self._last + 1) % len(self._numbers)):
+                if key in self._rows(k):
+                    self._last = k
+                    return k
+        return self._place[key]
 
     def __getitem__(self, key: str) -> _Value:
         shard = self._shard(self._shard_of(key))
