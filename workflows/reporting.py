@@ -71,9 +71,9 @@ def study_of(path: Where | Opened, whole: bool = False) -> Study:
     return Study(_data(opened, whole), _settings(opened.scene))
 
 
-def _data(opened: Opened, whole: bool = False) -> Data:
+def _data(opened: Opened, whole: bool = False, at_once: bool = False) -> Data:
     """A dataset as the analysis sees it, its series read where they are asked for."""
-    scene, names, shards = opened.scene, scalar_names(opened), Shards(opened)
+    scene, names, shards = opened.scene, scalar_names(opened), Shards(opened, at_once)
     columns_kept = [column for record in scene.records_in_order for column in record.kept if column.is_number]
     values, problems = {column.name: list[np.ndarray]() for column in columns_kept}, dict[str, dict[str, str]]()
     by_users = () if scene.own_record is None else scene.own_record.kept
@@ -96,7 +96,7 @@ def _data(opened: Opened, whole: bool = False) -> Data:
         return _prepared(scene, frame).assign(**coordinates._asdict())
 
     columns = (column for record in scene.records for column in record.columns)
-    with_members = partial(  # before these are read: of a small dataset all but lists is read with them
+    with_members = partial(  # before these are read: `at_once` all but lists is read with them
         Data,
         series=series(shards),
         events=all_events(shards),
@@ -182,7 +182,7 @@ def report(
     opened = _begun(path)
     scene = opened.scene
     return build(
-        _data(opened),
+        _data(opened, at_once=opened.is_small),
         _settings(scene),
         printable(scene.title or name_of(opened.place)),
         printable(scene.about),

@@ -352,13 +352,13 @@ _Row = Callable[[str], Any]
 class Shards:
     """The shards of a dataset of which its readers take rows: the last ones stay in memory, `_KEPT` bytes.
 
-    As long as there is room for all of a small dataset, a shard is read once, with what any of the readers asks for.
+    If all is wanted, and as long as there is room, a shard is read once, with what any of the readers asks for.
     """
 
-    def __init__(self, opened: Opened) -> None:
+    def __init__(self, opened: Opened, is_whole: bool = False) -> None:
         self.opened, self.names = opened, sorted(opened.manifest.shards)
         self.columns = list[str]()  #: of all readers
-        self._is_whole = opened.is_small
+        self._is_whole = is_whole
         self._kept: dict[str, _Shard] = {}  # the last one was read last
 
     @classmethod
