@@ -114,6 +114,24 @@ def test_what_is_averaged_is_tested(planted, settings, rng):
     assert fates.answer(study).tables["burn_in"]["n_runs"].tolist() == [20]
 
 
+def test_copies_of_runs_are_no_systems_and_episodes_count_from_t_burn_on(planted, settings, rng):
+    """Two starts of each system that are alike, with episodes at 50, 250...: 5 from t = 50 on, 4 from t = 100 on."""
+    once = ensemble(planted, rng, 0.0, n_systems=6)
+    copies = [planted.member(f"{m}-{k}", m, n=N, start_draw=k, kappa=0.1) for m in range(6) for k in (0, 1)]
+    names = [row["member_id"] for row in copies]
+    start = np.arange(50.0, T_END, 200.0)
+    episodes = pd.DataFrame({"member_id": np.repeat(names, len(start)), "start": np.tile(start, len(names))})
+    runs = [run for run in once.series.values() for _ in (0, 1)]
+    twice = Data(pd.DataFrame(copies), dict(zip(names, runs, strict=True)), episodes=episodes)
+    study = Study(twice, settings)
+    (alone,), (row,) = of_groups(once, settings), geweke(study, study.groups)
+    assert (row.n_systems, row.early, row.p_value) == (6, pytest.approx(alone.early), pytest.approx(alone.p_value))
+    rows = {row.t_burn: row for row in estimates(study, study.groups[0])}
+    assert {row.n_systems for row in rows.values()} == {6}
+    assert rows[T_BURN].p_value == pytest.approx(alone.p_value)
+    assert (rows[50.0].value.value, rows[T_BURN].value.value) == pytest.approx((5 / 950, 4 / 900))
+
+
 def at_rest(planted, rng, data):
     """The same runs, and nine groups of twenty that never move, each run at a level of its own; all are averaged."""
     rows, series = data.members.to_dict("records"), dict(data.series)

@@ -57,6 +57,12 @@ def test_what_the_runs_of_matrices_are_worth_by_hand():
     assert (low, high) == pytest.approx(wilson(most / 2, most, 0.95))
 
 
+def test_runs_that_agree_too_well_are_worth_no_more_than_they_are():
+    """One of two runs in each of ten systems: they do not scatter, but there are twenty runs."""
+    share, low, high, trials = share_over_matrices([[1, 2]] * 10, 0.95)
+    assert (share, low, high, trials) == (0.5, *wilson(10, 20, 0.95), 20)
+
+
 def test_scatter_that_a_few_matrices_make_is_hardly_known():
     """Of n, one differs: its distance is n - 1 times that of the others, and the kurtosis n - 2 + 1 / (n - 1)."""
     for n in (3, 5, 12, 100):

@@ -60,6 +60,7 @@ LATE = Quantity("lifetime", "median lifetime", more="longer", less="shorter")
     (0.006, 0.013, 0.05, Verdict.EQUAL),
     (-0.001, 0.06, 0.05, Verdict.OPEN),
     (0.01, 0.06, 0.05, Verdict.MORE),
+    (-0.06, 0.001, 0.05, Verdict.OPEN),
     (None, None, 0.05, Verdict.UNJUDGED),
 ])  # fmt: skip
 def test_the_interval_decides(low, high, margin, verdict):

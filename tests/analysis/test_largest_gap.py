@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from stickslip.analysis.models.largest_gap import largest_gap
+from stickslip.analysis.models.largest_gap import distance, largest_gap
 from stickslip.analysis.stats import flips
 from stickslip.analysis.stats.estimates import Undefined
 from tests.analysis import studies
@@ -19,6 +20,18 @@ def test_the_largest_gap_is_that_of_kolmogorov_and_smirnov(rng):
     found = largest_gap(times((np.arange(1, 11), np.arange(4, 14)), 8), 0.95, rng)
     assert (found.size.value, found.size.low, found.size.high) == pytest.approx((0.3, 0.3, 0.3))
     assert found.p_different == found.p_floor == 2 / 2**8
+
+
+def test_values_at_which_many_are_equal_count_as_below(rng):
+    found = largest_gap(times((np.array([0, 0, 0, 1]), np.array([0, 1, 1, 1])), 8), 0.95, rng)
+    assert found.size.value == pytest.approx(0.5)
+
+
+def test_the_upper_end_of_one_difference_is_students(rng):
+    shifts = rng.normal(1.0, 0.1, 9)
+    found = distance(0.3 * shifts[:, None] / 9, np.full(9, 1 / 9), 0.95, rng)
+    known = 0.3 * (shifts.mean() + stats.t(8).isf(0.05) * stats.sem(shifts))
+    assert found.size.high == pytest.approx(known)
 
 
 def test_differences_that_go_either_way_are_none(rng):

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from stickslip.analysis.models.episodes import Catalogue
-from stickslip.analysis.models.recurrence import recurrence
+from stickslip.analysis.models.recurrence import _ranks, recurrence
 from tests.chance import SURE, agrees
 
 MEAN, SPAN = 10.0, 200.0
@@ -61,6 +62,24 @@ def test_times_between_are_from_end_to_begin_but_where_events_take_no_time_of_th
         event = replace(event, duration=np.full(len(start), 4.0), is_loaded=is_loaded)
         found = recurrence([[event]] * 12, 0.0, 0.95)
         assert found.mean.value == pytest.approx(between, rel=1e-12)
+
+
+def test_an_interval_is_over_systems_and_a_bin_without_events_has_the_limit_of_a_poisson_count(rng):
+    """Copies of a run in a system tell no more; a clock never rings in the first quarter of its period."""
+    runs = [run(at, rng.uniform(1.0, 2.0, len(at))) for at in (renewals(rng, 4.0) for _ in range(8))]
+    once, twice = (recurrence([[one] * n for one in runs], 0.0, 0.95) for n in (1, 2))
+    for name in ("mean", "cv", "before", "after"):
+        alone, copied = (getattr(found, name) for found in (once, twice))
+        assert (copied.value, copied.low, copied.high) == pytest.approx((alone.value, alone.low, alone.high))
+    clock = run(np.arange(5.0, SPAN, 10.0), np.ones(20))
+    hazard = recurrence([[clock]] * 12, 0.0, 0.95).bins[0]
+    assert (hazard.n_events, hazard.relative.low) == (0, 0.0)
+    assert hazard.relative.high == pytest.approx(stats.chi2.isf(0.025, 2) / 2 / (0.25 * 12 * 20))
+
+
+def test_equal_moments_share_their_rank(rng):
+    for values in (rng.normal(size=9), rng.integers(0, 4, 30), np.ones(3)):
+        np.testing.assert_allclose(_ranks(values), stats.rankdata(values), rtol=1e-15)
 
 
 def test_windows_too_short_for_a_mean_say_so(rng):

@@ -260,6 +260,43 @@ def test_units_of_dimensions():
     assert Units("s", "m", "kg").label("time t", "time") == "time t (s)"
 
 
+def shaken(tmp_path, t_end=8.0, load=None, **record):
+    """Three equal blocks of 2 kg on 400 N/m each, in SI units, on a belt that is slow, and on one that is fast."""
+    scene = Scene(
+        system={"coupling": "chain", "n": 3, "kappa": 400.0, "leaf": 400.0, "mass": 2.0, "friction": 40.0,
+                "static": 50.0, "damping": 10.0, "belt_speed": -0.1 if load else [-0.1, -30.0]},
+        units={"time": "s", "length": "m", "mass": "kg"},
+        start="rest",
+        run={"t_end": t_end, "matrices": 1} | ({} if load is None else {"load": load}),
+        engine={"name": "coulomb", "tol": 1e-9},
+        record={"episodes": True} | record,
+        analysis={"t_burn": 1.0, "dt": 0.1},
+    )  # fmt: skip
+    assert scene.scales.time != 1.0
+    run_ensemble(scene, tmp_path / "out", workers=0)
+    return tmp_path / "out"
+
+
+def test_times_of_all_records_are_in_one_unit(tmp_path):
+    """A cluster of all blocks is the episode; what settles into steady sliding at t_stop collapsed then."""
+    out = shaken(tmp_path, clusters=True, collapse=True)
+    episodes, clusters = query.episodes(out), query.clusters(out)
+    assert len(clusters) == len(episodes) > 5
+    assert (clusters["size"] == 3).all()
+    np.testing.assert_array_equal(clusters[["start", "end"]], episodes[["start", "end"]])
+    assert 0.1 < np.diff(episodes["start"]).min() < episodes["end"].max() < 8.0
+    collapsed = query.members(out).query("outcome == 'collapsed'")
+    assert len(collapsed) == 1
+    assert (collapsed["t_collapse"] == collapsed["t_stop"]).all()
+    assert 50.0 / (400.0 * 30.0) <= collapsed["t_collapse"].item() < 8.0  # it is let go before
+
+
+def test_an_episode_under_a_belt_that_waits_takes_half_a_period(tmp_path):
+    """All three go together: w'' = -k / m z - R / m w, over pi / (k / m - (R / 2 m)^2)^(1/2)."""
+    elapsed = query.episodes(shaken(tmp_path, load="adiabatic"))["elapsed"]
+    np.testing.assert_allclose(elapsed, np.pi / np.sqrt(200.0 - 2.5**2), rtol=1e-7)
+
+
 def test_further_definitions_of_sticking_are_in_the_same_units_by_sql_and_as_arrays(tmp_path):
     scene = Scene(
         system={"coupling": "chain", "n": 3, "kappa": 400.0, "leaf": 400.0, "mass": 2.0, "friction": 40.0,

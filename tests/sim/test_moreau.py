@@ -86,6 +86,14 @@ def test_static_friction_holds_a_block_that_comes_to_the_belt_with_more_than_kin
     assert np.abs(ends + 1.5).max() < 0.2
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_block_is_held_by_as_much_as_static_friction(side):
+    """K = 1 and a belt at rest: at |z| = 2 nothing moves, to the last bit, and beyond it the block slips back."""
+    system = System([[1.0]], 0.0, static=2.0, belt_speed=0.0)
+    assert moreau(system, 2.0 * side, 0.0, 8.0, 0.5).z[0] == 2.0 * side
+    assert abs(moreau(system, np.nextafter(2.0, 3.0) * side, 0.0, 1.0, 0.5).z[0]) < 2.0
+
+
 def test_a_sample_at_the_end_is_kept_wherever_the_last_step_rounds_to(rng):
     system = System([[1.0]], 0.0, static=1.3)
     for t_end in rng.integers(1, 50, 30) / 10:  # 39 steps of 0.1 end before 3.9

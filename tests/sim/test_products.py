@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csc_array
 
-from stickslip.sim import simulate
+from stickslip.sim import System, simulate
 from tests.independent import Case
 from tests.systems import draw_case, made
 
@@ -47,3 +47,19 @@ def test_blocks_go_their_own_way_in_any_company(law, allowed, storage, rng):
         late.append(np.abs(events.t[is_mine] - its.t))
         first = mine.stop
     assert np.median(np.concatenate(late)) < allowed
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        {"engine": "coulomb", "tol": 1e-10},
+        {"engine": "sigmoid", "eps": 0.03, "rtol": 1e-8, "atol": 1e-8},
+        {"engine": "moreau", "step": 1e-3},
+    ],
+    ids=lambda law: law["engine"],
+)
+def test_a_sparse_matrix_that_is_not_symmetric_pulls_as_it_says(law):
+    """The last of three blocks stays at z = 1 and pulls the first; none pulls the others: z = -t^2 / 2, w = -t."""
+    system = System(csc_array(([1.0], ([0], [2])), shape=(3, 3)), 0.0, 0.0)
+    run = simulate(system, [0.0, 0.0, 1.0], 0.0, 2.0, **law)
+    np.testing.assert_allclose((run.z, run.w), [[-2.0, 0.0, 1.0], [-2.0, 0.0, 0.0]], rtol=0, atol=1e-6)

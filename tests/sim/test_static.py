@@ -216,6 +216,17 @@ def test_a_block_that_leaves_with_a_jump_takes_along_what_it_holds_at_the_edge(p
     np.testing.assert_allclose(run.z, other.z, atol=1e-12)
 
 
+def test_a_block_that_has_just_left_goes_on_where_another_stops_at_once():
+    """|F| = m on a belt at rest, and told to leave; 1e-18 later, which rounding cannot tell, the other block stops.
+
+    z = 1 + cos(t) / 2 of the first: F does not rise, and would hold it if it had not left.
+    """
+    system = System(np.eye(2), 0.0, static=1.5, belt_speed=0.0)
+    run = simulate(system, [1.5, 0.0], [0.0, 1e-18], 1.0, modes=[-1, 1])
+    assert run.events.block.tolist() == [1]
+    assert run.z[0] == pytest.approx(1.0 + 0.5 * np.cos(1.0), abs=1e-10)
+
+
 @pytest.mark.parametrize("beyond", [0.0, 1e-3])
 def test_a_tangency_at_the_static_friction_is_no_exit(beyond):
     """F of a stuck block is a free one's z = -1.5 cos t: from its static friction back, or from a little beyond."""

@@ -6,6 +6,7 @@ to -mu: for (a^2 - v^2)^(1/2) / (omega |v|). From then on it swings with the bel
 period, for ever, which is no event.
 """
 
+import itertools
 import math
 
 import numpy as np
@@ -44,6 +45,24 @@ def test_a_stick_far_below_the_error_is_a_touch(tol):
     assert len(run.events) == 0
 
 
+def slipping(over, tol):
+    """A run, and the events of a block on a belt at rest that a frictionless one pushes at t = pi beyond friction.
+
+    By so much: it slips from (2 over / 0.1)^(1/2) before until twice as long after. The third block is carried along.
+    """
+    system = System([[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.1]], 0.0, [1.0, 0.0, 1.0], [0.0, 0.0, V])
+    run = simulate(system, [0.9 + over, -1.0, 0.0], [0.0, 0.0, V], 6.0, tol=tol, stop_early=False)
+    return run, run.events.of_blocks(np.arange(3) == 0)
+
+
+@pytest.mark.parametrize("tol", [1e-5, 1e-8])
+def test_a_slip_far_below_the_error_is_a_touch_and_one_far_above_counts(tol):
+    assert not len(slipping(1e-3 * tol, tol)[1])
+    (_, events), before = slipping(100 * tol, tol), math.sqrt(200 * tol / 0.1)
+    assert events.mode.tolist() == [-1, 0]
+    np.testing.assert_allclose(events.t, [math.pi - before, math.pi + 2 * before], rtol=0, atol=0.1 * before)
+
+
 @pytest.fixture
 def made(monkeypatch):
     """The runs that are made, with the estimate of their error."""
@@ -78,6 +97,13 @@ def test_the_error_that_tells_touches_bounds_the_error_of_a_run(tol, made):
         exact, run = (simulate(system, z, w, 25.0, tol=each, stop_early=False) for each in (3e-14, tol))
         if run.events.mode.tolist() == exact.events.mode.tolist():
             assert np.abs(run.w - exact.w).max() <= made[-1].states.clock[0, loop.ERROR]
+
+
+def test_the_error_that_tells_touches_is_a_small_share_of_the_tolerance_where_damping_fades_it(made):
+    """It was 0.03 of it at most."""
+    for damping, tol, t_end in itertools.product((0.5, 1.0, 4.0), (1e-4, 1e-6, 1e-9), (1.0, 3.0, 10.0)):
+        simulate(System([[1.0]], damping, 0.0, 0.0), 1.0, 0.0, t_end, tol=tol, stop_early=False)
+        assert 0.0 < made[-1].states.clock[0, loop.ERROR] < 0.1 * tol
 
 
 def undamped(seed):

@@ -11,6 +11,7 @@ from stickslip.sim import Harmonic, IntegrationError, Piecewise, Rational, Syste
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import settings, waves
 from tests import independent
+from tests.sim.test_touches import slipping
 from tests.systems import draw_case, made
 
 BOUND = 20.0  # error over the tolerance, the largest speed and the sensitivity
@@ -242,6 +243,12 @@ def test_stick_slip_of_one_block_has_the_period_of_the_closed_form(by_waves):
     exits = run.events.t[run.events.is_exit]
     period = 2 * drop / v + 2 * (np.pi - np.arctan(drop / v))
     np.testing.assert_allclose(np.diff(exits), period, rtol=1e-5)
+
+
+def test_a_slip_far_below_the_error_is_a_touch_and_one_far_above_counts(by_waves):
+    for over, modes in ((3e-7, []), (1e-2, [-1, 0])):
+        run, events = slipping(over, 1e-5)
+        assert (run.stats.method, events.mode.tolist()) == (WAVES, modes)
 
 
 def test_blocks_that_all_stick_are_noted(by_waves):
