@@ -3,12 +3,14 @@
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
+import numba
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
 from stickslip import Curve, Harmonic, Rational, System, Table, Weakening, simulate
 from stickslip.sim.energy import energy
+from stickslip.sim.engines.polynomials import Polynomials, left_at
 from stickslip.sim.systems.weakening import parameter
 from tests.independent import follow
 from tests.systems import draw_case, made
@@ -237,6 +239,19 @@ def test_a_kink_is_an_end_of_pieces():
     np.testing.assert_allclose(law.curve.at(u), 0.3 + abs(u - 0.4), rtol=0, atol=1e-9)
     run = simulate(System([[0.0]], 0.0, 1.0, 0.0, weakening=law), 0.0, 1.5, 10.0, tol=1e-12)
     assert run.events.t[0] == pytest.approx(np.log(0.7 / 0.3) + np.log(1.4 / 0.3), rel=1e-8)
+
+
+@numba.njit
+def leaving(pieces, series, x0):
+    return left_at(pieces, series, 1.0, x0, 0, 3, 1.0)
+
+
+def test_a_speed_that_leaves_its_piece_and_turns_back_between_two_looks_is_seen():
+    """x = 1.0001 - (0.53 - s)^2 is above 1 from s = 0.52 to 0.54, between the eighths of the step."""
+    pieces = Polynomials.of(Table([0.0, 1.0, 2.0, 3.0], [1.0, 0.8, 0.7, 0.7]).curve)
+    series = np.array([0.0, 0.0, 0.53, -1.0 / 3.0])[:, np.newaxis]  # those of (k + 1) c_k+1 s^k
+    assert leaving(pieces, series, 1.0001 - 0.53**2) == pytest.approx(0.52, abs=1e-6)
+    assert leaving(pieces, series, 0.9999 - 0.53**2) == 1.0
 
 
 def test_a_table_goes_through_its_values_and_rises_and_falls_as_they_do(rng):
