@@ -91,10 +91,9 @@ GROWTH = math.exp(SPARSE_SPAN)
 #: A block is heavily damped if its R is this many times all rates without it: for smaller R short steps cost no more.
 #: With R = 1e4 at 5 of 20 blocks, 30 and 300 changed nothing.
 HEAVY = 100.0
-#: Its series have converged when an iteration changes w by this share of the error allowed, within so many
-#: iterations, each of which gains a factor of HEAVY. With those blocks, 0.1 and 0.001 changed the products by less
-#: than 1%.
-SETTLED, MOST_ITERATIONS = 0.01, 15
+#: Its series have converged when an iteration changes w by less than the error allowed, within so many iterations,
+#: each of which gains a factor of HEAVY.
+MOST_ITERATIONS = 15
 #: The factor of a step whose series do not end by the highest order, and how often it is applied. Chosen.
 SHORTER, MOST_SHORTER = 0.6, 4
 #: After failures 1, 2, 4, ... steps of `taylor.expand` come first, at most this many. Chosen.

@@ -193,7 +193,7 @@ def _settled(
         if order == 0:
             h *= control.SHORTER
             n_shorter += 1
-        elif change <= control.SETTLED * allowed:
+        elif change <= allowed:
             if not _stays(model, expansion, moves, order) or _passed(series, mode, v):
                 break
             return order, h, allowed, n_products
