@@ -1,12 +1,14 @@
 """What the engines share: roots of polynomials that were planted, polynomials about another origin, arrays."""
 
 import itertools
+from collections import namedtuple
 
 import numba
 import numpy as np
 import pytest
 from scipy.interpolate import BPoly, PPoly
 
+from stickslip.sim.engines.coulomb.taylor import _known_step
 from stickslip.sim.kernels.compile import kernel
 from stickslip.sim.numerics.arithmetic import aligned_zeros
 from stickslip.sim.numerics.horner import shift_rows, values_and_slopes
@@ -139,3 +141,20 @@ def test_arrays_begin_with_a_line_of_the_cache(shape, dtype):
     kept = [aligned_zeros(shape, dtype) for _ in range(20)]
     assert all(one.ctypes.data % 64 == 0 for one in kept if one.size)
     assert all(one.shape == shape and one.dtype == dtype and not one.any() for one in kept)
+
+
+PLAIN = namedtuple("PLAIN", "weakening shape")(None, None)  # what is asked of a model and of an expansion
+
+
+@numba.njit
+def step_on(plain, order, last, before):
+    return _known_step(plain, plain, order, last, before, 0.9, 1e-8)
+
+
+@pytest.mark.parametrize(("last", "before"), [(3.0, 0.0), (0.0, 2.0), (3.0, 40.0), (40.0, 3.0), (0.0, 0.0)])
+def test_a_step_ends_where_one_of_the_last_two_terms_of_w_comes_to_the_error_allowed(last, before):
+    """w = sum_k k c_k s^(k - 1), to c_32 here; without such terms it is the one aimed at."""
+    step = step_on(PLAIN, 32, last, before)
+    most = max(32 * last * step**31, 31 * before * step**30)
+    assert most == pytest.approx(1e-8 if last or before else 0.0)
+    assert step <= 0.9
