@@ -108,9 +108,9 @@ def forest(steps: Sequence[Step], what: str, name: str = "contrasts") -> dict[st
         return {}
     top = rows[:MOST_ROWS]
     ends, widest = _axis(top)
-    bands = " Bands: declared margins." * any(step.contrast.has_margin for step in top)
+    margins = ", not within a declared margin (bands)" * any(step.contrast.has_margin for step in top)
     cut = " Arrowheads: beyond the axis." * bool((np.abs(ends) > widest).any())
-    caption = f"Filled marks are significant {what}, with intervals.{bands}{cut}"
+    caption = f"Filled marks are significant {what}{margins}, with intervals.{cut}"
     return {name: Picture(partial(differences, top), caption)}
 
 

@@ -14,7 +14,7 @@ class Code(Enum):
     """
 
     FAILED = 1, "{n:,} of {of:,} runs failed and are left out."
-    DRIFT = 1, "{what}{where} still drifts after t_burn = {t_burn:g}: raise t_burn."
+    DRIFT = 1, "{what}{where} still drifts after t_burn = {t_burn:g}: lengthen the runs, and raise t_burn."
     DIVERGED = 2, "The motion grew without limit in {n:,} of {of:,} runs{where}; estimates are of the others."
     SETTLED = 2, "{n:,} of {of:,} runs settled into steady sliding; {what} is of the others."
     NOT_MOVING = 2, "{n:,} of {of:,} runs are not in motion; {what} is of the others."

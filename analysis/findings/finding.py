@@ -187,6 +187,8 @@ class Level:
     ----------
     where : Place
         What tells the setting from the others.
+    also : tuple of Comparison
+        What else it is compared with, in the same sentence.
     """
 
     quantity: Quantity
@@ -194,6 +196,7 @@ class Level:
     where: Place = EVERYWHERE
     comparison: Comparison | None = None
     basis: Basis | None = None
+    also: tuple[Comparison, ...] = ()
 
 
 class KeyChange(NamedTuple):
@@ -571,8 +574,8 @@ Finding: TypeAlias = Statement | Decided
 def levels(finding: Finding) -> list[Level]:
     """A finding as rows of a table: the values that it states; none of a lack."""
     match finding:
-        case Level():
-            return [finding]
+        case Level(also=others):
+            return [replace(finding, comparison=beside, also=()) for beside in (finding.comparison, *others)]
         case Lifetime(quantity, estimate=estimate):
             return [Level(quantity, estimate, finding.where, finding.comparison, finding.basis)]
         case Share(key, things, predicate, estimate, where, comparison, basis):

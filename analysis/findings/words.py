@@ -128,7 +128,7 @@ def _clauses(finding: Statement, is_brief: bool = False) -> Clauses:
     """A finding without capitals and full stops; in brief, the first clause is as short as can be."""
     match finding:
         case Level():
-            return _level(finding, is_brief)
+            return *_level(finding, is_brief), *(_also(replace(finding, comparison=other)) for other in finding.also)
         case Change():
             return _change(finding, is_brief)
         case Share():
@@ -235,6 +235,13 @@ def _in_clause(level: Level) -> str:
         return f"{times} times as much as for {reference}"
     side = "more" if difference.verdict is Verdict.MORE else "less"
     return f"{size(difference, level.quantity.form)} {side} than for {reference}"
+
+
+def _also(level: Level) -> str:
+    """A clause about another comparison of an estimate."""
+    assert level.comparison is not None
+    addition = _compared(level.comparison, level.quantity)
+    return addition.clause or f"it is {_in_clause(level) or addition.phrase}"
 
 
 def _beside(text: str, comparison: Comparison | None, quantity: Quantity | None, is_brief: bool) -> Clauses:

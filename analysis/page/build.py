@@ -39,7 +39,7 @@ CALLED = {
     "group": "setting",
     "matrices": "systems",
     "members": "runs",
-    "finished": "reached the end",
+    "finished": "followed to t_end",
     "quiet": "sliding so far (not unstable)",
 }
 #: How many of what a group has.

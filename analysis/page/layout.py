@@ -93,6 +93,11 @@ def prepare() -> None:
     _template()
 
 
+def is_row(level: Level) -> bool:
+    """Whether a finding has a row in the table of findings: it has a value, or a limit."""
+    return level.estimate.value is not None or level.estimate.high is not None
+
+
 def findings_table(levels: Sequence[Level], where: str = "", most: int = MOST_ROWS) -> Table:
     """The table of some findings; columns that hold nothing are left out, and so is a column of one quantity.
 
@@ -103,7 +108,7 @@ def findings_table(levels: Sequence[Level], where: str = "", most: int = MOST_RO
     most : int
         Rows that are shown.
     """
-    levels = [level for level in levels if level.estimate.value is not None or level.estimate.high is not None]
+    levels = [*filter(is_row, levels)]
     cells = [
         {
             "what": _what(level.quantity),

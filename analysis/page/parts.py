@@ -16,7 +16,7 @@ from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.page import FINDINGS
 from stickslip.analysis.page.data import data_table
-from stickslip.analysis.page.layout import MOST_FIRST, Panel, Section, Table, findings_table
+from stickslip.analysis.page.layout import MOST_FIRST, Panel, Section, Table, findings_table, is_row
 from stickslip.analysis.questions import question
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import pdf, svg
@@ -111,11 +111,13 @@ class Part(NamedTuple):
         answer, table, tables = self.answer, findings_table(self.rows, FINDINGS), self.answer.tables
         files = ", ".join(f"report/{name}.parquet" for name in tables)
         is_for_readers = ":" in self.key  # a question beside a scene
+        later = [*zip(self.sentences, answer.findings, strict=True)][len(self.lead) :]
+        without_row = [text for text, finding in later if not any(map(is_row, levels(finding)))]
         return Section(
             self.key,
             self.title,
             "" if is_said else self.lead[0],
-            [answer.method] if is_shown else [answer.paragraph, answer.method],
+            [*without_row, answer.method] if is_shown else [*without_row, answer.paragraph, answer.method],
             [panel for panel in self.panels if panel not in on_first],
             Table() if is_shown and len(table.rows) <= MOST_FIRST else table,
             [f"Tables: {files}."] if files else [],

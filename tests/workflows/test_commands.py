@@ -346,7 +346,7 @@ def test_a_bad_scene_is_refused_in_its_words_and_nothing_is_written(old, new, wo
     ],
 )
 def test_what_no_worker_can_hold_is_refused(old, new, words, small_scene, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("stickslip.pipeline.running.cluster.MEMORY_LIMIT", 4e9)
+    monkeypatch.setattr("stickslip.pipeline.running.estimate.MEMORY_LIMIT", 4e9)
     small = small_scene.read_text().replace("[record]", "[twins]\nsizes = 0.1\n[record]\nseparation = 4e-4")
     check_bad(small.replace(old, new).encode(), words, tmp_path, capsys)
 

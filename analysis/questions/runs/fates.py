@@ -76,7 +76,7 @@ PERIOD = Quantity("period", "period of the cycle", dimension="time")
 METHOD = (
     "A run ends at its last event, if it is certified that no block sticks again, or when its motion has grown"
     " without limit; survival and medians are Kaplan-Meier estimates. Runs that are sliding so far, if not"
-    " unstable, count as ended at their last events, and the upper ends of intervals take them as not ended."
+    " unstable, are taken to have ended too; the upper ends of intervals take them to go on."
 )
 METHOD_OF_ATTRACTORS = (
     "Each run is followed on from its end: a cycle repeats its events and comes back to its state, steady sliding and"

@@ -50,7 +50,6 @@ from stickslip.analysis.stats.families import EXPONENTIAL, POWER_LAW, log_shares
 from stickslip.analysis.stats.shares import mean_within
 from stickslip.analysis.style import forest
 from stickslip.pipeline.design.labels import Label, apart, engine_name
-from stickslip.sim.engines import ENGINES
 
 SHIFTS = 30  # most draws of a run's blocks shifted in time, whose rate is then known better than the run's
 PARTS = 10  # of a run, whose scatter gives the interval of its system
@@ -188,7 +187,7 @@ def answer(study: Study) -> Answer:
     judged = study.judged()
     sums = {group.label: _sums(study, group) for group in study.groups}
     with_rate = [entry for group in judged if (entry := sums[group.label]).estimate(gamma, level).low is not None]
-    with_rate.sort(key=lambda entry: not _is_exact(entry.group))
+    with_rate.sort(key=lambda entry: not entry.group.is_exact)
     # blocks are shifted where it is said what that gives
     alike = [_in_parts(study, entry) for entry in with_rate if _engine(entry) == _engine(with_rate[0])]
     sums |= {entry.group.label: entry for entry in alike}
@@ -231,21 +230,15 @@ def _method(study: Study) -> str:
     )
 
 
-def _is_exact(group: Group) -> bool:
-    return ENGINES[group.key["engine"]].is_exact
-
-
 def _drifting(study: Study, judged: Sequence[Group], sums: Mapping[str, Sums]) -> Level | None:
     """The decay rate of what leads although n_stick drifts: exact runs, where no other exact runs have one."""
-    if any(_is_exact(group) for group in judged):
+    if any(group.is_exact for group in judged):
         return None
     level = study.settings.confidence
     drifts = [
-        group
-        for group in study.groups
-        if group.basis(level).code == enough.DRIFTS and (_is_exact(group) or not judged)
+        group for group in study.groups if group.basis(level).code == enough.DRIFTS and (group.is_exact or not judged)
     ]
-    lead = min(drifts, key=lambda group: (not _is_exact(group), -int(group.key["n"])), default=None)
+    lead = min(drifts, key=lambda group: (not group.is_exact, -int(group.key["n"])), default=None)
     if lead is None or (rate := sums[lead.label].estimate(gamma, level)).low is None:
         return None
     return Level(RATE, rate, places(study)[lead.label], basis=Basis(len(sums[lead.label].rows), systems(study)))
@@ -326,7 +319,12 @@ def _findings(study: Study, sums: Sums, where: Place) -> list[Finding]:
     law = Law("cascade sizes", "fall off geometrically", rate, fit, departure, "fall off nearly geometrically",
               called="decay rate")  # fmt: skip
     methods = _beside_others(study, sums)
-    return [law, *methods[:1], *further, departure, *methods[1:]]
+    nulls = (
+        [replace(further[0], also=tuple(null.comparison for null in further[1:] if null.comparison is not None))]
+        if further
+        else []
+    )
+    return [law, *nulls, *methods[:1], departure, *methods[1:]]
 
 
 def _beside_others(study: Study, sums: Sums) -> list[Level]:

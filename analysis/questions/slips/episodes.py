@@ -47,7 +47,7 @@ from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital, plural
 from stickslip.analysis.members import DRAWN
-from stickslip.analysis.methods import MAGNITUDES, PRIMARY, Apart, compare, names, settings_of
+from stickslip.analysis.methods import MAGNITUDES, Apart, compare, names, settings_of
 from stickslip.analysis.models.episodes import (
     BY_WAY,
     CREEP,
@@ -80,11 +80,10 @@ FEWEST_IN_BIN = 5  # events in a bin of times, if any, for it to be drawn
 _METHOD = (
     "An episode lasts from all blocks stuck to all stuck again; its size is the number of blocks that slip, its"
     " moment the sum of their slips, its magnitude log10 of that. Methods are compared"
-    " on the same systems: a method differs if its rate of episodes (t test) or its distribution of magnitudes"
-    " (permutation test) does, with p-values adjusted for the number of methods (Holm), or else its rate of slip"
-    " onsets. A power law is that of the"
-    " widest range on which the distribution functions of data and law differ by less than 2%, or by chance;"
-    " [analysis] magnitude_range fixes the range, so that b of two datasets compares."
+    " on the same systems: a method differs if its rate of episodes, its rate of slip onsets (t tests) or its"
+    " distribution of magnitudes (permutation test) does, with p-values adjusted for the number of methods (Holm). A"
+    " power law is fitted on the widest range on which the distribution functions of data and law differ by less than"
+    " 2%, or by chance; b of two datasets can be compared on one range, `[analysis] magnitude_range`."
 )
 #: What follows the range of a power law in a sentence.
 BEYOND: Mapping[Kind, str] = {
@@ -105,7 +104,8 @@ WORDS: Mapping[str, Quantity] = {
     OCCUPANCY: Quantity("occupancy", "share of the time in which at least one block slips", Form.SHARE),
 }
 _SCOPE = "the rate and magnitudes of episodes, and the rate of slip onsets"
-ONSETS = "rate of slip onsets"  # by which methods are compared last
+ONSETS = "rate of slip onsets"
+_BY = (RATE, ONSETS, MAGNITUDES)  # what a method may differ in: the first that it does is said
 _COMPARED = (RATE, SIZE, DURATION, SLIP)
 IN_RANGE = Quantity("in_range", "share of episodes in the range of b", Form.SHARE)
 BELOW = Quantity("below_range", "share of episodes below the range of b", Form.SHARE)
@@ -362,15 +362,15 @@ def _of_onsets(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[
 def _outcomes(
     reference: Catalogues, others: Sequence[Catalogues], apart: Sequence[Apart], unit: str
 ) -> list[Outcomes]:
-    """The settings of a system by what is shown to differ: the rate, else the magnitudes, else the slip onsets."""
+    """The settings of a system by what is shown to differ: the rate, else the slip onsets, else the magnitudes."""
     differing = {(id(pair.setting), pair.name) for pair in apart if pair.is_shown}
     settings = dict(zip(settings_of(others), others, strict=True))
     come_out = {
-        setting: next((name for name in (*PRIMARY, ONSETS) if (id(group), name) in differing), "")
+        setting: next((name for name in _BY if (id(group), name) in differing), "")
         for setting, group in settings.items()
     }
     outcomes = []
-    for name in (*PRIMARY, ONSETS, ""):
+    for name in (*_BY, ""):
         by_id = {id(group): setting for setting, group in settings.items() if come_out[setting] == name}
         apart_most = max(
             (pair for pair in apart if id(pair.setting) in by_id and pair.name == (name or RATE)),
