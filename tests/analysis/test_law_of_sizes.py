@@ -9,7 +9,7 @@ import pytest
 
 from stickslip.analysis import Study
 from stickslip.analysis.findings.alerts import Code
-from stickslip.analysis.findings.finding import Fit, Lack, Law, Level, Reason, Verdict
+from stickslip.analysis.findings.finding import Fit, Lack, Law, Level, Reason, Verdict, levels
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.members import records
@@ -44,8 +44,10 @@ def law_of(answer):
 
 def found(answer, key, other=""):
     """The level of a quantity, beside something."""
-    levels = [one for one in answer.findings if isinstance(one, Level) and one.quantity.key == key]
-    return next((one for one in levels if one.comparison is None or one.comparison.other == other), None)
+    rows = [
+        row for one in answer.findings if isinstance(one, Level) for row in levels(one) if row.quantity.key == key
+    ]
+    return next((row for row in rows if row.comparison is None or row.comparison.other == other), None)
 
 
 def verdict(level):
@@ -122,9 +124,9 @@ def test_coupling_makes_the_planted_part_of_the_excess(planted, rng):
     )
     row, shifted = coupled.tables["law"].iloc[0], found(coupled, "gamma", cascades.SHIFTED)
     assert verdict(shifted) is Verdict.MORE
-    assert re.fullmatch(r"The decay rate is .*% \(.*%\) more than for time-shifted blocks\.", sentence(shifted))
-    others = [level.comparison.other for level in coupled.findings[1 : coupled.n_lead]]
-    assert others == [cascades.SHIFTED, cascades.TWO_STATE]
+    words = r"The decay rate is .*% \(.*%\) more than for time-shifted blocks[;.] [Ii]t is .* two-state blocks\."
+    assert re.fullmatch(words, sentence(coupled.findings[1]))
+    assert [level.comparison.other for level in levels(coupled.findings[1])] == [cascades.SHIFTED, cascades.TWO_STATE]
     assert row["gamma_pool"] == pytest.approx(pool.gamma(20, 6.0), abs=0.01)
     assert alone.tables["law"]["over_shifted"][0] == pytest.approx(0.0, abs=0.02)
 
@@ -167,9 +169,9 @@ def test_settings_beside_the_lead_are_levels_with_their_setting(planted, rng):
 
 
 def test_the_rate_by_another_engine_stands_beside_that_of_the_exact_law(planted, settings):
-    """Second, before the nulls, as the page of changes judges it; the margin of the scene says when both agree."""
+    """After the nulls, as the page of changes judges it; the margin of the scene says when both agree."""
     study = Study(Data(*planted.ensemble({"coulomb": 0.7, "sigmoid": 0.5}, 8)), settings)
-    law, other, *_ = cascades.answer(study).findings
+    law, _, other, *_ = cascades.answer(study).findings
     assert law.parameter.where == Place((("n", "200"), ("", "exact")))
     assert (other.comparison.other, other.comparison.difference.verdict) == ("exact", Verdict.LESS)
     (step,) = between_engines(study, "gamma")
@@ -179,7 +181,7 @@ def test_the_rate_by_another_engine_stands_beside_that_of_the_exact_law(planted,
         Data(*planted.ensemble({"coulomb": 0.7, "sigmoid": 0.71}, 8)),
         dataclasses.replace(settings, margins={"gamma": 0.2}),
     )
-    assert cascades.answer(study).findings[1].comparison.difference.verdict is Verdict.EQUAL
+    assert cascades.answer(study).findings[2].comparison.difference.verdict is Verdict.EQUAL
 
 
 # ------------------------------------------------------------------------------------------- estimates
