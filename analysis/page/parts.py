@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from stickslip.analysis.answer import Answer, Question, Recipe
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.finding import Basis, Level, in_units, levels
+from stickslip.analysis.findings.finding import Basis, Law, Level, in_units, levels
 from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.page import FINDINGS
@@ -112,12 +112,13 @@ class Part(NamedTuple):
         files = ", ".join(f"report/{name}.parquet" for name in tables)
         is_for_readers = ":" in self.key  # a question beside a scene
         later = [*zip(self.sentences, answer.findings, strict=True)][len(self.lead) :]
-        without_row = [text for text, finding in later if not any(map(is_row, levels(finding)))]
+        # of a law, and of what is lacking, rows do not say all
+        in_words = [text for text, said in later if isinstance(said, Law) or not any(map(is_row, levels(said)))]
         return Section(
             self.key,
             self.title,
             "" if is_said else self.lead[0],
-            [*without_row, answer.method] if is_shown else [*without_row, answer.paragraph, answer.method],
+            [*in_words, answer.method] if is_shown else [*in_words, answer.paragraph, answer.method],
             [panel for panel in self.panels if panel not in on_first],
             Table() if is_shown and len(table.rows) <= MOST_FIRST else table,
             [f"Tables: {files}."] if files else [],

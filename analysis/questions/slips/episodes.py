@@ -564,8 +564,8 @@ def _figures(
     figures = {
         "magnitudes": Picture(
             partial(magnitudes, rates, [Drawn.of(group) for group in shown]),
-            "A power law is straight. Above: share of episodes per unit of magnitude, M = log10 moment, with the"
-            " fitted law on its range, if any. Below: episodes per unit time of at least each magnitude."
+            "Above: share of episodes per unit of magnitude, M = log10 moment. Below: episodes per unit time of at"
+            " least each magnitude. A power law is a straight line, drawn on its range where one fits."
             + " Dashed: where the peak begins."
             * any(group.law.begins is not None for group in shown),
         )

@@ -63,7 +63,7 @@ class Sigmoid(Engine):
     """
 
     name = "sigmoid"
-    about = "friction mu tanh((w - v) / (r_i eps)) at velocity w, smooth within some eps of the belt's speed v."
+    about = "friction mu tanh((w - v) / (r_i eps)) at velocity w, smooth within a few eps of the belt's speed v."
     kernels = "stickslip.sim.engines.sigmoid"
     keeps_stills = True
     takes = frozenset({"static", "weakening", "back_slip", "force", "belt_speed", "damping matrix"})
