@@ -106,6 +106,11 @@ class Group:
         return self.table.own[name].iloc[self.rows]
 
     @property
+    def has_onsets(self) -> bool:
+        """Whether each slip onset shows in n_stick: see `Engine.locates_events`."""
+        return ENGINES[self.key["engine"]].locates_events
+
+    @property
     def is_exact(self) -> bool:
         """Whether its runs follow the exact law, event by event."""
         return ENGINES[self.key["engine"]].is_exact

@@ -18,6 +18,7 @@ import numpy as np
 from stickslip.analysis.catalogues import Catalogues, read
 from stickslip.analysis.contrast import Bounded, Median, PerEvent, Share, Statistic
 from stickslip.analysis.ensemble import Recorded, Study
+from stickslip.analysis.findings.finding import Reason
 from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import READ
@@ -37,6 +38,7 @@ KEYS = {MEAN: "mean", GAMMA: "gamma"}
 NO_VALUE, NO_EPISODE, STILL = "its record gives none", "no episode", "not in motion"
 NOT_REACHED = "fewer than half of the runs have it"
 SHORT_WINDOW = "short window"
+OF_ONSETS = ("rate", "gamma")  # what counts slip onsets
 LEAST_GAPS = 50  # per block: the scatter of random times that lie in a window of as many is 2% too small
 CONTACTS = "n_contacts"  # the column of the number of blocks with friction
 
@@ -333,6 +335,8 @@ def _of_n_stick(study: Study, _: Study | None) -> Iterator[Measure]:
 
 def _gamma(confidence: float, group: Group) -> Values:
     """Sums of gamma over a group's runs in motion, if they allow a statistic of a steady state."""
+    if not group.has_onsets:
+        return Values(withheld=Reason.MERGED.value)
     basis = group.basis(confidence).code
     return Values(group.sums("gamma")) if basis in enough.JUDGED else Values(withheld=basis)
 
@@ -349,6 +353,8 @@ def of_windows(study: Study, keys: Collection[str] = tuple(OF_N_STICK)) -> list[
 
 
 def _window_sums(key: str, group: Group) -> Values:
+    if key in OF_ONSETS and not group.has_onsets:
+        return Values(withheld=Reason.MERGED.value)
     is_short = key == "correlation_time" and 2 * group.n_short > group.n_runs
     return Values(group.sums(key), withheld=SHORT_WINDOW * is_short)
 

@@ -534,6 +534,7 @@ class Reason(StrEnum):
     DRIFT = "no steady state"
     NO_MOTION = "no run is in motion"
     SHORT_WINDOW = "the runs are too short"
+    MERGED = "slip onsets and arrests of one time step cancel"
     OUT_OF_RANGE = "too few pairs stay in their linear range"
     NOT_SHOWN = "none is shown"
     NO_REFERENCE = "nothing to compare with"

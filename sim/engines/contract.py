@@ -198,6 +198,9 @@ class Engine(ABC):
     is_exact : bool
         Whether it keeps the exact, set-valued friction law and locates every event of it. Records of the exact law
         are of such runs alone, other engines are compared with them, and they take `Task.modes`.
+    locates_events : bool
+        Whether events have times of their own. Where they have those of steps, slip onsets and arrests of one step
+        cancel in n_stick, and neither the rate of slip onsets nor cascades can be read off that.
     keeps_stills : bool
         Whether its runs have `Run.stills`, from which the moments of episodes are.
     takes : frozenset of str
@@ -211,6 +214,7 @@ class Engine(ABC):
     kernels: ClassVar[str] = ""
     sizes: ClassVar[tuple[int, ...]] = (SMALL,)
     is_exact: ClassVar[bool] = False
+    locates_events: ClassVar[bool] = True
     keeps_stills: ClassVar[bool] = False
     takes: ClassVar[frozenset[str]] = frozenset()
 

@@ -128,6 +128,19 @@ def test_of_runs_that_ended_it_says_how_copies_end(rng, planted, settings):
     assert (shift.estimate.value, shift.estimate.low, shift.estimate.high) == pytest.approx((1, 1, 1))
 
 
+def test_a_shift_is_that_of_half_of_the_runs_not_of_means_over_copies(planted, settings):
+    """Of three copies of each system one shifts by seven units, the others by one."""
+    rows, series, names = [], {}, ("", "-a", "-b", "-c")
+    for matrix in range(MATRICES):
+        for draw, (name, later) in enumerate(zip(names, (0.0, 1.0, 1.0, 7.0), strict=True)):
+            terms = {"perturbation_size": 0.01 * bool(name), "perturbation_draw": draw, "twin_size": None}
+            rows.append(planted.member(f"m{matrix}{name}", matrix, outcome="collapsed", **terms))
+            series[f"m{matrix}{name}"] = np.array([0.0, 200.0 + later]), np.array([5, 0])
+    found, _ = asked(Data(pd.DataFrame(rows), series), settings)
+    (shift,) = levels(found, "shift")
+    assert (shift.estimate.value, shift.estimate.low, shift.basis.n) == pytest.approx((1, 1, MATRICES))
+
+
 @pytest.mark.drawn
 def test_the_page_says_it(rng, planted, settings):
     data = ensemble(rng, planted, to_and_fro)

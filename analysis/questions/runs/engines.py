@@ -69,7 +69,7 @@ def answer(study: Study) -> Answer | None:
     judged = [(pair, step) for pair, step in zip(pairs, steps, strict=True) if step.contrast.is_known]
     unit, scope = noun(study.unit), ""
     if study.data.episodes is not None:
-        scope = "sticking blocks and slip onsets"
+        scope = "the number of sticking blocks"
     lead, levels, in_figure, title = list[Finding](), list[Finding](), list[Step](), ""
     for kind in _NOUNS:
         by_other: dict[str, list[Step]] = {}

@@ -248,7 +248,7 @@ def _ends(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[Fi
                 n=sum(total for _, total in counts.values()),
             )
         if shifts:
-            means = np.array([np.mean(of_unit) for of_unit in shifts.values()])
-            shift = median(means, np.full(len(means), True), confidence)
-            shift = replace(shift, value=float(np.median(means)))  # the mean of the two middle ones
-            yield Level(SHIFT, shift, place, None, Basis(len(means), unit))
+            units, each = np.repeat([*shifts], [*map(len, shifts.values())]), np.concatenate([*shifts.values()])
+            shift = median(each, np.full(len(each), True), confidence, units)
+            shift = replace(shift, value=float(np.median(each)))  # the mean of the two middle ones
+            yield Level(SHIFT, shift, place, None, Basis(len(shifts), unit))

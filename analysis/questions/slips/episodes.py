@@ -103,7 +103,7 @@ WORDS: Mapping[str, Quantity] = {
     CREEP: Quantity("creep", "share of the belt's travel that is creep of stuck blocks", Form.SHARE),
     OCCUPANCY: Quantity("occupancy", "share of the time in which at least one block slips", Form.SHARE),
 }
-_SCOPE = "the rate and magnitudes of episodes, and the rate of slip onsets"
+_SCOPE, _AND_ONSETS = "the rate and magnitudes of episodes", ", and the rate of slip onsets"
 ONSETS = "rate of slip onsets"
 _BY = (RATE, ONSETS, MAGNITUDES)  # what a method may differ in: the first that it does is said
 _COMPARED = (RATE, SIZE, DURATION, SLIP)
@@ -383,7 +383,8 @@ def _outcomes(
         (in_short,) = in_words({setting: ""}, "")
         words, method = in_words(come_out, name), reference.method
         further = in_words(come_out | {setting: "-"}, name)
-        outcome = Outcomes(method, undecided=words, scope=_SCOPE)
+        has_onsets = all(group.group.has_onsets for setting, group in settings.items() if come_out[setting] == name)
+        outcome = Outcomes(method, undecided=words, scope=_SCOPE + _AND_ONSETS * has_onsets)
         if name:
             outcome = Outcomes(method, different=words, others=further)
         outcomes.append(replace(outcome, largest=level, at_largest=in_short))

@@ -35,6 +35,7 @@ class Moreau(Engine):
     name = "moreau"
     about = "time steps of Moreau and Jean under Coulomb's law, to compare with; no event is located."
     kernels = "stickslip.sim.engines.moreau"
+    locates_events = False
     keeps_stills = True
     takes = frozenset({"static"})
 
