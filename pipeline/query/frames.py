@@ -367,7 +367,7 @@ class Shards:
         return path if isinstance(path, Shards) else cls(open_dataset(path))
 
     def stored(self, columns: Sequence[str], names: Sequence[str]) -> Iterator[tuple[str, pa.Table]]:
-        """As `Opened.stored`; what readers ask for is read at once if all of it is."""
+        """As ``Opened.stored``; what readers ask for is read at once if all of it is."""
         also = ["member_id", *self.columns] if self._is_whole else []
         for name, table in self.opened.stored([*dict.fromkeys([*columns, *also])], names):
             if also:
