@@ -575,8 +575,10 @@ Finding: TypeAlias = Statement | Decided
 def levels(finding: Finding) -> list[Level]:
     """A finding as rows of a table: the values that it states; none of a lack."""
     match finding:
-        case Level(also=others):
-            return [replace(finding, comparison=beside, also=()) for beside in (finding.comparison, *others)]
+        case Level():
+            return [
+                replace(finding, comparison=comparison, also=()) for comparison in (finding.comparison, *finding.also)
+            ]
         case Lifetime(quantity, estimate=estimate):
             return [Level(quantity, estimate, finding.where, finding.comparison, finding.basis)]
         case Share(key, things, predicate, estimate, where, comparison, basis):

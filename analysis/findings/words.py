@@ -128,7 +128,9 @@ def _clauses(finding: Statement, is_brief: bool = False) -> Clauses:
     """A finding without capitals and full stops; in brief, the first clause is as short as can be."""
     match finding:
         case Level():
-            return *_level(finding, is_brief), *(_also(replace(finding, comparison=other)) for other in finding.also)
+            return *_level(finding, is_brief), *(
+                _also(replace(finding, comparison=comparison)) for comparison in finding.also
+            )
         case Change():
             return _change(finding, is_brief)
         case Share():

@@ -113,7 +113,9 @@ class Part(NamedTuple):
         is_for_readers = ":" in self.key  # a question beside a scene
         later = [*zip(self.sentences, answer.findings, strict=True)][len(self.lead) :]
         # of a law, and of what is lacking, rows do not say all
-        in_words = [text for text, said in later if isinstance(said, Law) or not any(map(is_row, levels(said)))]
+        in_words = [
+            text for text, finding in later if isinstance(finding, Law) or not any(map(is_row, levels(finding)))
+        ]
         return Section(
             self.key,
             self.title,

@@ -248,7 +248,7 @@ def _ends(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[Fi
                 n=sum(total for _, total in counts.values()),
             )
         if shifts:
-            units, each = np.repeat([*shifts], [*map(len, shifts.values())]), np.concatenate([*shifts.values()])
-            shift = median(each, np.full(len(each), True), confidence, units)
-            shift = replace(shift, value=float(np.median(each)))  # the mean of the two middle ones
+            units, times = np.repeat([*shifts], [*map(len, shifts.values())]), np.concatenate([*shifts.values()])
+            shift = median(times, np.full(len(times), True), confidence, units)
+            shift = replace(shift, value=float(np.median(times)))  # the mean of the two middle ones
             yield Level(SHIFT, shift, place, None, Basis(len(shifts), unit))
