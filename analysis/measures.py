@@ -335,10 +335,8 @@ def _of_n_stick(study: Study, _: Study | None) -> Iterator[Measure]:
 
 def _gamma(confidence: float, group: Group) -> Values:
     """Sums of gamma over a group's runs in motion, if they allow a statistic of a steady state."""
-    if not group.has_onsets:
-        return Values(withheld=Reason.MERGED.value)
-    basis = group.basis(confidence).code
-    return Values(group.sums("gamma")) if basis in enough.JUDGED else Values(withheld=basis)
+    values, basis = _window_sums("gamma", group), group.basis(confidence).code
+    return values if values.withheld or basis in enough.JUDGED else Values(withheld=basis)
 
 
 def of_windows(study: Study, keys: Collection[str] = tuple(OF_N_STICK)) -> list[Measure]:

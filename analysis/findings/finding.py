@@ -198,6 +198,11 @@ class Level:
     basis: Basis | None = None
     also: tuple[Comparison, ...] = ()
 
+    @property
+    def difference(self) -> Difference | None:
+        """How far it lies from what it is compared with; None where nothing is, or it is a distance itself."""
+        return None if self.comparison is None else self.comparison.difference
+
 
 class KeyChange(NamedTuple):
     """A key and two of its values; `is_of_size`: both are negative, and said by their sizes."""

@@ -226,9 +226,9 @@ def _value(quantity: Quantity, estimate: Estimate) -> str:
 
 def _in_clause(level: Level) -> str:
     """What stands in the clause of a quantity instead of its value, if a comparison tells."""
-    if level.comparison is None or level.comparison.difference is None:
+    if level.comparison is None or (difference := level.difference) is None:
         return ""
-    reference, difference = level.comparison.other, level.comparison.difference
+    reference = level.comparison.other
     if difference.verdict is Verdict.EQUAL:
         return f"{_within(difference, level.quantity.form)} of that for {reference}"
     if difference.verdict not in (Verdict.MORE, Verdict.LESS):
@@ -518,14 +518,14 @@ def _outcomes(outcomes: Outcomes) -> Clauses:
         words.append(f"{listed(outcomes.equal)} agree{_s(outcomes.equal)} with {reference}{scope}")
     if outcomes.undecided:
         undecided = listed(outcomes.undecided, "or")
-        if largest is None or largest.basis is None or _difference(largest) is None:
+        if largest is None or largest.basis is None or largest.difference is None:
             words.append(f"{undecided} cannot be told from {reference}{scope}")
         else:
             beside = "" if outcomes.equal else f" from {reference}{scope}"
             words.append(f"no difference{beside} is shown for {undecided} ({based_on(largest.basis)})")
         if outcomes.equal:
             return (*words,)
-    if largest is None or (outcomes.different and _difference(largest) is not None):
+    if largest is None or (outcomes.different and largest.difference is not None):
         return (*words,)
     is_elsewhere = outcomes.undecided and outcomes.at_largest not in ("", *outcomes.undecided)
     addition = _most_apart(largest, f", for {outcomes.at_largest}" if is_elsewhere else "")
@@ -542,14 +542,9 @@ def _counted(settings: tuple[str, ...]) -> tuple[str, ...]:
     return settings if len(settings) < 2 else (f"{len(settings)} settings",)
 
 
-def _difference(level: Level) -> Difference | None:
-    """How far a level lies from what it is compared with; None if it is a distance itself."""
-    return None if level.comparison is None else level.comparison.difference
-
-
 def _larger(level: Level, other: str) -> str:
     """A difference that is shown as an object: "31% (20 to 41%) fewer slip onsets than exact"; else empty."""
-    difference, name, things = _difference(level), level.quantity.name, level.quantity.things
+    difference, name, things = level.difference, level.quantity.name, level.quantity.things
     if difference is None or difference.verdict not in (Verdict.MORE, Verdict.LESS):
         return ""
     is_more = difference.verdict is Verdict.MORE
@@ -564,7 +559,7 @@ def _larger(level: Level, other: str) -> str:
 def _most_apart(level: Level, where: str) -> Addition:
     """The largest difference of several, of which none is shown; as two values where it has no ratio."""
     form, name, end = level.quantity.form, level.quantity.name, level.estimate.value
-    difference = _difference(level)
+    difference = level.difference
     if difference is None:
         return Addition(f"{name} {with_interval(level.estimate, form)}{where}")
     value = difference.estimate.value

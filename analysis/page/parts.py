@@ -177,7 +177,7 @@ NO_VALUE = Row("", "", None, None, None, "", None, None, None, "", None, "", Non
 def row(level: Level) -> Row:
     """The value of a quantity as a row."""
     estimate, comparison, basis = level.estimate, level.comparison, level.basis or Basis(0, "")
-    difference = None if comparison is None else comparison.difference
+    difference = level.difference
     distance = Estimate() if difference is None else difference.estimate
     return Row(
         level.quantity.name,

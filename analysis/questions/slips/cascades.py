@@ -324,11 +324,8 @@ def _findings(study: Study, sums: Sums, where: Place) -> list[Finding]:
     law = Law("cascade sizes", "fall off geometrically", rate, fit, departure, "fall off nearly geometrically",
               called="decay rate")  # fmt: skip
     methods = _beside_others(study, sums)
-    nulls = (
-        [replace(further[0], also=tuple(null.comparison for null in further[1:] if null.comparison is not None))]
-        if further
-        else []
-    )
+    comparisons = tuple(null.comparison for null in further[1:] if null.comparison is not None)
+    nulls = [replace(null, also=comparisons) for null in further[:1]]
     return [law, *nulls, *methods[:1], departure, *methods[1:]]
 
 
