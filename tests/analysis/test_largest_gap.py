@@ -22,6 +22,14 @@ def test_the_largest_gap_is_that_of_kolmogorov_and_smirnov(rng):
     assert found.p_different == found.p_floor == 2 / 2**8
 
 
+def test_the_largest_gap_is_found_between_the_quantiles_at_which_it_is_tested(rng):
+    """It lies at one of 3,000 jumps."""
+    a, b = rng.normal(size=2000), rng.normal(0.05, size=1000)
+    found = largest_gap(times((a, b), 8), 0.95, rng)
+    assert found.size.value == pytest.approx(stats.ks_2samp(a, b).statistic, rel=1e-12)
+    assert found.size.low <= found.size.value <= found.size.high
+
+
 def test_values_at_which_many_are_equal_count_as_below(rng):
     found = largest_gap(times((np.array([0, 0, 0, 1]), np.array([0, 1, 1, 1])), 8), 0.95, rng)
     assert found.size.value == pytest.approx(0.5)
