@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import pandas as pd
 
+from stickslip.analysis.answer import places
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.numbers import signs
@@ -239,6 +240,7 @@ def _provenance(
         "Findings: report/findings.json. Tables: report/*.parquet. Figures: report/figures/.",
     ]
     table = groups.dropna(axis="columns", how="all")
+    table = table.assign(group=[str(place) or label for label, place in places(study).items()])
     alike = [name for name in table if name not in ("group", *COUNTS) and len({*table[name]}) == 1]
     if alike:
         shared = signs(", ".join(f"{name} = {text(table[name].iloc[0])}" for name in alike))

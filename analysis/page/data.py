@@ -8,9 +8,9 @@ from typing import Any
 import pandas as pd
 
 from stickslip.analysis.findings.finding import Form
-from stickslip.analysis.findings.numbers import MINUS, alike, number, signs, with_interval
+from stickslip.analysis.findings.numbers import MINUS, alike, number, with_interval
 from stickslip.analysis.findings.words import plural
-from stickslip.analysis.page.layout import MOST_ROWS, Table
+from stickslip.analysis.page.layout import MOST_ROWS, Table, setting_in_cell
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.pipeline.design.values import short
 
@@ -50,4 +50,4 @@ def _text(value: Any) -> str:
         case float():
             plain = f"{value:.4g}"  # a setting, say
             return short(value).replace("-", MINUS) if float(plain) == value else number(value)
-    return signs(str(value))
+    return setting_in_cell(value)

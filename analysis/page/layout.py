@@ -11,9 +11,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from stickslip.analysis.findings.finding import Comparison, Form, Level, Quantity
 from stickslip.analysis.findings.numbers import signs, with_interval
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import based_on, difference_in_words, plural
 
-MOST_ROWS = 24  # of a table on a page
+MOST_ROWS = 36  # of a table on a page
 MOST_FIRST = 8  # of the table on the first screen
 
 
@@ -109,12 +110,14 @@ def findings_table(levels: Sequence[Level], where: str = "", most: int = MOST_RO
         Rows that are shown.
     """
     levels = [*filter(is_row, levels)]
+    places = [level.where.parts for level in levels[:most]]
+    alike = [part for part in places[0] if all(part in parts for parts in places)] if places[1:] else []
     cells = [
         {
             "what": _what(level.quantity),
-            "where": signs(str(level.where)),
+            "where": setting_in_cell(Place(tuple(part for part in level.where.parts if part not in alike))),
             "estimate": _unbroken(with_interval(level.estimate, level.quantity.form)),
-            "compared with": signs(level.comparison.other) if level.comparison is not None else "",
+            "compared with": setting_in_cell(level.comparison.other) if level.comparison is not None else "",
             "difference": _difference(level.comparison, level.quantity.form) if level.comparison is not None else "",
             "from": _unbroken(based_on(level.basis)),
         }
@@ -126,7 +129,8 @@ def findings_table(levels: Sequence[Level], where: str = "", most: int = MOST_RO
         head.remove("what")
     n_more = len(levels) - most
     note = f"{plural(n_more, 'more row')} in {where}." if n_more > 0 and where else ""
-    return Table(head, [[cell[name] for name in head] for cell in cells], note)
+    caption = f"All {signs(Place(tuple(alike)).phrase)}." if alike else ""
+    return Table(head, [[cell[name] for name in head] for cell in cells], note, caption)
 
 
 def _what(quantity: Quantity) -> str:
@@ -139,6 +143,11 @@ def _difference(comparison: Comparison, form: Form) -> str:
         return ""
     size, verdict = difference_in_words(comparison.difference, form)
     return f"{_unbroken(size)}, {verdict}" if verdict else _unbroken(size)
+
+
+def setting_in_cell(name: object) -> str:
+    """The name of a setting, which is broken only between its parts."""
+    return signs(str(name)).replace(" = ", "\u00a0=\u00a0")
 
 
 def _unbroken(text: str) -> str:

@@ -328,6 +328,14 @@ def test_the_table_of_findings_has_limits_and_differences_in_their_units():
         assert cell in table
 
 
+def test_a_table_names_once_what_all_settings_share_and_breaks_none_of_its_parts():
+    rows = [Level(GAMMA, Estimate(0.7), Place((("n", "200"), ("eps", f"{k}")))) for k in range(30)]
+    table = findings_table(rows, "a file")
+    assert table.caption == "All at n = 200."
+    assert [row[table.head.index("where")] for row in table.rows] == [f"eps\u00a0=\u00a0{k}" for k in range(30)]
+    assert findings_table(rows[:1]).rows[0][1] == "n\u00a0=\u00a0200, eps\u00a0=\u00a00"
+
+
 def test_symbols_begin_sentences_as_they_are():
     written = {
         "mean n": "Mean n",

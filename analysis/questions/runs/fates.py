@@ -350,19 +350,18 @@ def _means(study: Study, settings: Sequence[Setting]) -> list[Level]:
     """Mean n_stick of the runs not ended, which include those whose sliding so far is unstable."""
     groups = [group for setting in settings for group in setting.groups if study.unit != "start"]
     groups.sort(key=lambda group: -int(group.key["n"]))
-    means = [(group, group.mean(study.settings.confidence)) for group in groups]
+    means, where = [(group, group.mean(study.settings.confidence)) for group in groups], places(study)
     return [
-        Level(MEAN, mean, _with_lulls(group), None, Basis(len(group.units), noun(study.unit)))
+        Level(MEAN, mean, where[group.label] + _lulls(group), None, Basis(len(group.units), noun(study.unit)))
         for group, mean in means
         if mean.value is not None
     ]
 
 
-def _with_lulls(group: Group) -> Place:
-    """A group, with how many of its runs not ended are sliding so far, but unstable, where no block sticks."""
+def _lulls(group: Group) -> Place:
+    """How many of the runs of a group not ended are sliding so far, but unstable, where no block sticks."""
     n_lull = int(np.sum(group.fates == LULL))
-    lulls = Place.words(f"{n_lull} of {group.n_moving} runs sliding so far, but unstable" * bool(n_lull))
-    return Place.of(group.name) + lulls
+    return Place.words(f"{n_lull} of {group.n_moving} runs sliding so far, but unstable" * bool(n_lull))
 
 
 def _alerts(study: Study, grid: Grid, ends: Sequence[Ends], short: Sequence[Group]) -> list[Alert]:

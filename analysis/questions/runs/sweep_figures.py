@@ -85,7 +85,7 @@ def _lines(grid: Grid, axes: Sequence[Axis], measure: Measure) -> list[Line]:
     Of more axes, at those of their values at which most points have the measure: averages over some values here and
     others there would differ by what these are like.
     """
-    curves = [(str(name), grid.points[name]) for name in grid.settings[:MOST_LINES]]
+    curves = [(str(grid.where[name] or name), grid.points[name]) for name in grid.settings[:MOST_LINES]]
     if len(axes) > 1:
         up, points = axes[1], grid.points[grid.settings[0]]
         places = [tuple(point.place[axis] for axis in axes[2:]) for point in points]

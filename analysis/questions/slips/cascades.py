@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
@@ -53,7 +54,6 @@ from stickslip.pipeline.design.labels import Label, apart, engine_name
 
 SHIFTS = 30  # most draws of a run's blocks shifted in time, whose rate is then known better than the run's
 PARTS = 10  # of a run, whose scatter gives the interval of its system
-MOST_SETTINGS = 8  # beside each other on the page; the table `law` has all
 MOST_DRAWN = 2  # groups in a figure
 COIN, TWO_STATE, SHIFTED = "ln 2", "independent two-state blocks", "time-shifted blocks"
 GEOMETRIC = "a geometric distribution"
@@ -206,10 +206,11 @@ def answer(study: Study) -> Answer:
         return Answer(findings=[missing], alerts=alerts, tables=tables, method=_method(study))
     if not alike:
         return Answer(findings=[Lack("the decay rate of cascade sizes", Reason.ONE_VALUE)], tables=tables)
-    lead, *others = alike[:MOST_SETTINGS]
+    lead, *others = alike
     where = places(study)
     leading = _findings(study, lead, where[lead.group.label])
-    findings = [rate for entry in others for rate in _rates(study, entry, where[entry.group.label])]
+    rates = [_rates(study, entry, where[entry.group.label]) for entry in others]
+    findings = [rate for beside_null in zip_longest(*rates) for rate in beside_null if rate is not None]
     curves = [entry for entry in with_rate if entry.n == lead.n][:MOST_DRAWN]
     definitions = cascade_definitions.compared(study, lead.group)
     return Answer(
