@@ -14,15 +14,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from stickslip.analysis.answer import Picture
+from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Form, Outcomes, Scale, Verdict
 from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.place import EVERYWHERE
 from stickslip.analysis.stats.estimates import with_ends
-from stickslip.analysis.steps import Setting, Step
-from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PURPLE, SMOOTHED, panel
+from stickslip.analysis.steps import Kind, Setting, Step
+from stickslip.analysis.style import GREY, HUES, hues, panel
 
 EQUAL, DIFFERENT, UNDECIDED = "equal", "different", "undecided"
-_HUES = (EXACT, SMOOTHED, GREEN, PURPLE, ORANGE, BLUE, "#8c564b", "#e377c2", "#17becf", "#bcbd22")
 _LETTERS = 24  # of a line of a name
 MOST_ROWS = 36  # in one figure
 
@@ -101,24 +101,27 @@ def _ranges(settings: Sequence[tuple[Setting, bool]]) -> Iterator[str]:
         start = end
 
 
-def forest(steps: Sequence[Step], what: str, name: str = "contrasts") -> dict[str, Picture]:
+def forest(study: Study | None, steps: Sequence[Step], what: str, name: str = "contrasts") -> dict[str, Picture]:
     """The figure of differences in per cent with their intervals, by its name; none of fewer than two."""
     rows = [step for step in steps if _in_per_cent(step) and step.contrast.difference.estimate.low is not None]
     if len(rows) < 2:
         return {}
     top = rows[:MOST_ROWS]
     ends, widest = _axis(top)
-    margins = ", not within a declared margin (bands)" * any(step.contrast.has_margin for step in top)
+    margins = " that may exceed declared margins (bands)" * any(step.contrast.has_margin for step in top)
     cut = " Arrowheads: beyond the axis." * bool((np.abs(ends) > widest).any())
-    caption = f"Filled marks are significant {what}{margins}, with intervals.{cut}"
-    return {name: Picture(partial(differences, top), caption)}
+    see = "Filled marks are" if any(step.contrast.is_shown for step in top) else "There are no"
+    labels = {str(step.where): step.setting if step.kind is Kind.LAW else str(step.where) for step in top}
+    caption = f"{see} significant {what}{margins}; bars are intervals.{cut}"
+    return {name: Picture(partial(differences, top, hues(study, [*labels.values()])), caption)}
 
 
 def _axis(steps: Sequence[Step]) -> tuple[np.ndarray, float]:
-    """Differences with the ends of their intervals in per cent, shape (k, 3), and where the axis ends."""
+    """Differences with the ends of their intervals in per cent, shape (k, 3), and where the axis ends: beyond all."""
     ends = 100.0 * with_ends(step.contrast.difference.estimate for step in steps).T
     reach = np.abs(ends).max(axis=1)
-    return ends, 1.08 * min(reach.max(), 4.0 * float(np.median(reach))) or 1.0
+    most = max(1.5 * np.abs(ends[:, 0]).max(), 4.0 * float(np.median(reach)))
+    return ends, 1.08 * min(reach.max(), most) or 1.0
 
 
 def _in_per_cent(step: Step) -> bool:
@@ -127,37 +130,35 @@ def _in_per_cent(step: Step) -> bool:
     return is_relative or step.contrast.statistic.quantity.form is Form.SHARE
 
 
-def differences(steps: Sequence[Step]) -> Figure:
+def differences(steps: Sequence[Step], colours: Sequence[str] = HUES) -> Figure:
     """Differences with their intervals: a line a statistic, a hue a setting, and declared margins as bands.
 
-    Marks of significant differences are filled. An arrowhead marks one beyond the axis.
+    Marks of significant differences are filled. An arrowhead marks an interval that goes on beyond the axis.
     """
     height = 1.2 + 0.14 * len(steps) + 0.16 * len({step.statistic for step in steps})
-    return panel(height)(_differences)(steps)
+    return panel(height)(_differences)(steps, colours)
 
 
-def _differences(ax: Axes, steps: Sequence[Step]) -> None:
+def _differences(ax: Axes, steps: Sequence[Step], colours: Sequence[str]) -> None:
     names = list(dict.fromkeys(step.contrast.statistic.quantity.name for step in steps))
     settings = list(dict.fromkeys(str(step.where) for step in steps))
     ends, widest = _axis(steps)
     ax.axvline(0, color=GREY, linewidth=0.8)
     for step, (value, low, high) in zip(steps, ends, strict=True):
         k, line = settings.index(str(step.where)), names.index(step.contrast.statistic.quantity.name)
-        y, colour = line + 0.7 * ((k + 0.5) / len(settings) - 0.5), _HUES[k % len(_HUES)]
+        y, colour = line + 0.7 * ((k + 0.5) / len(settings) - 0.5), colours[k]
         if (margin := step.contrast.difference.margin) is not None:
             ax.barh(line, 200.0 * margin, left=-100.0 * margin, height=0.8, color="#ececec", zorder=0)
         ax.plot([low, high], [y, y], color=colour, linewidth=1.4)
         for end, arrow in ((high, ">"), (low, "<")):
-            if abs(end) > widest >= abs(value):  # of an interval
+            if abs(end) > widest:
                 ax.plot([np.copysign(widest, end)], [y], arrow, color=colour, markersize=3, clip_on=False, gid="cut")
-        mark = "o" if abs(value) <= widest else ">" if value > 0 else "<"
         face = colour if step.contrast.is_shown else "white"
-        x = [min(max(value, -widest), widest)]
-        ax.plot(x, [y], mark, color=colour, markersize=4, clip_on=False, markerfacecolor=face)
+        ax.plot([value], [y], "o", color=colour, markersize=4, clip_on=False, markerfacecolor=face)
     ax.set(xlim=(-widest, widest), ylim=(len(names) - 0.5, -0.5), xlabel="difference in %")
     ax.set_yticks(range(len(names)), [fill(name, _LETTERS) for name in names])
     ax.tick_params(axis="y", length=0)
     if len(settings) > 1:
-        marks = [Line2D([], [], color=_HUES[k % len(_HUES)], label=signs(name)) for k, name in enumerate(settings)]
+        marks = [Line2D([], [], color=hue, label=signs(name)) for name, hue in zip(settings, colours, strict=False)]
         n_columns = 2 if max(map(len, settings)) < _LETTERS else 1
         ax.figure.legend(handles=marks, loc="outside upper center", ncols=n_columns)

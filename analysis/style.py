@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
+from stickslip.analysis.ensemble import Study
 from stickslip.analysis.pictures import BLUE as BLUE
 from stickslip.analysis.pictures import CYCLE as CYCLE
 from stickslip.analysis.pictures import GREEN as GREEN
@@ -112,7 +113,18 @@ def legend(figure: Figure, columns: int, axes: Iterable[Axes] | None = None) -> 
 
 PANEL = (4.2, 3.0)  # inches: half of the page, side by side on wide screens
 EXACT, SMOOTHED = "#1f4e79", "#c4561a"  # the two friction laws, as filled circles and open squares
+#: Of settings: told apart in grey as well, as far as ten can be.
+HUES = (EXACT, SMOOTHED, GREEN, PURPLE, "#e69f00", "#56b4e9", "#6a3d9a", "#8a8d0f", "#8c564b", "#1c1c1c")
 P = ParamSpec("P")
+
+
+def hues(study: Study | None, labels: Sequence[str]) -> list[str]:
+    """The hues of some settings in a figure: a setting has one in all figures of a page, if there are enough."""
+    groups = [] if study is None else sorted(study.groups, key=lambda group: -int(group.key["n"]))
+    order = [group.label for group in groups][: len(HUES)]
+    if not {*labels} <= {*order}:
+        order = [*dict.fromkeys(labels)]
+    return [HUES[order.index(label) % len(HUES)] for label in labels]
 
 
 def panel(

@@ -20,7 +20,7 @@ class Code(Enum):
     NOT_MOVING = 2, "{n:,} of {of:,} runs are not in motion; {what} is of the others."
     MISFIT = (
         3,
-        "A damped oscillator misses the slow spectrum (deviance {deviance} on {dof} degrees of freedom): Q is rough.",
+        "A damped oscillator misses the slow spectrum{where} (p-value {p}{among}): its period and Q are rough.",
     )
     UNCERTIFIED = 2, "{n:,} of {of:,} runs are sliding so far: it is not proved that no block sticks again."
     WITHOUT = 2, "{n:,} of {of:,} runs have no {what} and are left out there: {why}."

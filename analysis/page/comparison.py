@@ -149,7 +149,7 @@ def _answer(first: str, second: str, steps: Sequence[Step], tables: Mapping[str,
         findings=[Decided(truth, lead), *further, *(step.level(first, unit) for step in judged)],
         n_lead=1 + len(further),
         tables=tables,
-        figures=forest(judged, f"differences of {second} from {first}"),
+        figures=forest(None, judged, f"differences of {second} from {first}"),
         method=f"Verdicts are adjusted for {len(judged)} comparisons (Holm), intervals are not.",
     )
 

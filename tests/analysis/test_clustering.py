@@ -1,5 +1,7 @@
 """Clustering beyond chance: closed forms against simulation, and what was planted is said."""
 
+from itertools import product
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -49,12 +51,12 @@ def test_gaps_are_those_on_the_circle_below_the_reach():
 # ------------------------------------------------------------------------------------------ the questions
 
 
-def study_of(planted, runs, with_events=True, t_burn=20.0):
-    """Runs given as `BlockSteps` as an ensemble: a matrix each."""
+def study_of(planted, runs, with_events=True, t_burn=20.0, settings=({},)):
+    """Runs given as `BlockSteps` as an ensemble: a matrix each, the same at each of some settings."""
     rows, series, events = [], {}, {}
-    for matrix, steps in enumerate(runs):
-        member_id = f"run-{matrix:02d}"
-        rows.append(planted.member(member_id, matrix, t_end=SPAN, t_stop=SPAN))
+    for (k, setting), (matrix, steps) in product(enumerate(settings), enumerate(runs)):
+        member_id = f"run-{k}-{matrix:02d}"
+        rows.append(planted.member(member_id, matrix, t_end=SPAN, t_stop=SPAN, **setting))
         blocks, first = np.unique(steps.block, return_index=True)
         sticks = np.zeros(200, dtype=bool)
         sticks[blocks] = steps.step[first] < 0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stickslip.analysis.findings.alerts import Code
-from stickslip.analysis.findings.finding import Fit, Lack, Level, Reason, Verdict
+from stickslip.analysis.findings.finding import Fit, Lack, Law, Level, Reason, Verdict
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models import common_motion
 from stickslip.analysis.models.common_motion import Shown
@@ -252,13 +252,14 @@ def test_a_common_mode_of_blocks_is_said_with_its_share_and_the_goodness_of_its_
     found = collective.answer(study)
     law = found.findings[0]
     assert re.match(
-        r"Blocks move together slowly \([\d.]+% of the variance\): natural period [\d.]+ \([\d.]+ to [\d.]+\)\.",
+        r"Blocks move together slowly(, but not as a damped oscillator)?"
+        r" \([\d.]+% of the variance\): natural period [\d.]+ \([\d.]+ to [\d.]+\)\.",
         sentence(law),
     )
     assert law.scope.quantity.name.startswith("share of the variance of the number of sticking blocks")
     assert found.n_lead == 1
     motion = slow_motion(study, study.groups[0])
-    levels = [law.parameter, *(finding for finding in found.findings if isinstance(finding, Level))]
+    levels = [law.parameter, law.departure, *(finding for finding in found.findings if isinstance(finding, Level))]
     value_of = {level.quantity.key: level.estimate.value for level in levels}
     assert law.scope.estimate == motion.fit.estimates["share"]
     for name in ("quality", "period"):
@@ -269,6 +270,39 @@ def test_a_common_mode_of_blocks_is_said_with_its_share_and_the_goodness_of_its_
     assert found.figures["collective"].recipe().axes
     (alone,) = scene.question(study).findings
     assert alone.reason is Reason.ONE_VALUE
+
+
+def test_the_settings_that_the_fit_misses_are_named_whichever_leads(planted, rng, monkeypatch):
+    """Of three p-values, 0.39, 0.037 and 0.003, one is below 0.05 among three: neither of the first two."""
+    deviances = {-0.2: 40.0, -0.15: 55.0, -0.1: 66.6}
+
+    def planted_misfit(study, group):
+        motion = slow_motion(study, group)
+        goodness = common_motion.Goodness(deviances[group.key["belt_speed"]], 38)
+        return dataclasses.replace(motion, motion=dataclasses.replace(motion.fit, goodness=goodness))
+
+    monkeypatch.setattr(collective, "slow_motion", planted_misfit)
+    runs = [studies.blocks_run(rng, depth=0.6, period=80.0) for _ in range(8)]
+    found = collective.answer(study_of(planted, runs, settings=[{"belt_speed": speed} for speed in deviances]))
+    laws = {str(law.parameter.where): law for law in found.findings if isinstance(law, Law)}
+    assert {where: law.fit for where, law in laws.items()} == {
+        "belt_speed = -0.2": Fit.HOLDS, "belt_speed = -0.15": Fit.HOLDS, "belt_speed = -0.1": Fit.CLOSE,
+    }  # fmt: skip
+    assert [law.departure.estimate.value for law in laws.values()] == [*deviances.values()]
+    assert "but not as a damped oscillator" in sentence(laws["belt_speed = -0.1"])
+    (alert,) = found.alerts
+    assert str(alert).startswith(
+        "A damped oscillator misses the slow spectrum at belt_speed = -0.1 (p-value 0.0084 among 3 settings)"
+    )
+
+
+def test_an_exponent_that_may_be_zero_is_said_by_its_limits(rng):
+    points = [point({"belt_speed": -speed}, 400.0, rng) for speed in (0.05, 0.1, 0.2)]
+    law = power("period", "belt_speed", points)._replace(exponent=Estimate(-0.2, -0.43, 0.03), p_misfit=0.5)
+    said = sentence(law.finding(0.05))
+    assert said.endswith("|belt_speed| = 0.05 to 0.2: none is shown (\u22120.43 to 0.03).")
+    assert "0.20" not in said
+    assert isinstance(law._replace(exponent=Estimate(-0.2, -0.43, -0.01)).finding(0.05), Law)
 
 
 def test_windows_that_are_too_short_are_said_to_be(planted, rng):

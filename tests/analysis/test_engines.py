@@ -11,7 +11,7 @@ from stickslip.analysis import AnalysisSettings, Study
 from stickslip.analysis.contrast import Contrast, Statistic
 from stickslip.analysis.findings.finding import Outcomes, Verdict
 from stickslip.analysis.findings.words import sentence
-from stickslip.analysis.outcomes import differences
+from stickslip.analysis.outcomes import differences, forest
 from stickslip.analysis.questions.runs.changes import answer
 from stickslip.analysis.stats.estimates import Estimate, ratio
 from stickslip.analysis.steps import Kind, Step
@@ -136,7 +136,7 @@ def test_one_setting_is_nothing_to_compare_and_three_matrices_are_too_few(plante
     assert set(few.tables["changes"]["verdict"]) == {Verdict.UNJUDGED}
 
 
-def test_a_difference_beyond_the_axis_is_an_arrowhead_at_its_edge():
+def test_the_axis_holds_all_differences_and_the_interval_of_one_may_go_on_beyond():
     mean = Statistic("mean", ratio, 0.1)
 
     def beside(name, value, half):
@@ -144,9 +144,13 @@ def test_a_difference_beyond_the_axis_is_an_arrowhead_at_its_edge():
         found = Contrast(replace(mean, name=name), 8, 8, Estimate(1.0), Estimate(2.0), estimate, estimate)
         return Step(Kind.LAW, "", "", found)
 
-    rows = [beside("far", 1.5, 0.3), beside("near", 0.02, 0.1), beside("shown", 0.2, 0.1)]
+    rows = [beside("far", 1.5, 2.0), beside("near", 0.02, 0.1), beside("shown", 0.2, 0.1)]
     (ax,) = differences(rows).axes
-    far, near, shown = (line for line in ax.lines if len(line.get_xdata()) == 1)
-    assert (far.get_marker(), far.get_xdata().tolist()) == (">", [ax.get_xlim()[1]])
+    cut, far, near, shown = (line for line in ax.lines if len(line.get_xdata()) == 1)
+    assert (cut.get_marker(), cut.get_xdata().tolist()) == (">", [ax.get_xlim()[1]])
+    assert (far.get_marker(), far.get_xdata().tolist()) == ("o", [150.0])
+    assert 150.0 < ax.get_xlim()[1] < 350.0
     assert (near.get_xdata().tolist(), near.get_markerfacecolor()) == ([2.0], "white")
     assert (shown.get_xdata().tolist(), shown.get_markerfacecolor()) == ([20.0], EXACT)
+    assert forest(None, rows, "differences")["contrasts"].caption.startswith("Filled marks are significant")
+    assert forest(None, rows[:2], "differences")["contrasts"].caption.startswith("There are no significant")

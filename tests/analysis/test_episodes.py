@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from stickslip.analysis import Study, build, measures
 from stickslip.analysis import catalogue as as_catalogue
 from stickslip.analysis.findings.alerts import Code
-from stickslip.analysis.findings.finding import Change, Fit, KeyChange, Law, Level, Outcomes, Reason, Verdict
+from stickslip.analysis.findings.finding import Change, Fit, KeyChange, Law, Level, Outcomes, Reason, Verdict, levels
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models import magnitudes
 from stickslip.analysis.models.episodes import CREEP, OCCUPANCY, QUANTITIES, RATE, REST, SIZE, SLIP, STORED, Catalogue
@@ -351,6 +351,7 @@ def test_where_all_moments_are_alike_there_is_no_power_law(planted_episodes, set
     answer = episodes.answer(Study(data, settings))
     assert answer.findings[0].fit is Fit.FAILS
     assert answer.findings[0].predicate.endswith("less than a decade")
+    assert len(levels(answer.findings[0])) == 1
     assert answer.tables["episode_rates"]["magnitude"].tolist() == pytest.approx([0.0])
 
 
@@ -545,6 +546,39 @@ def test_slip_stored_strain_and_creep_are_all_of_the_travel(rng, carried):
     unknown = replace(run, carried=None)
     assert np.isnan(REST[CREEP].sums(unknown)[0])
     assert QUANTITIES[SLIP].sums(unknown) == QUANTITIES[SLIP].sums(run)
+
+
+@pytest.mark.parametrize(("creep", "words"), [(0.0, "at most 1.0 \u00d7 10\u207b\u2077%."), (0.1, ": 10.0%.")])
+def test_creep_that_is_rounding_is_a_limit(planted_episodes, planted, settings, creep, words):
+    """Blocks are carried as far as the belt, but for their slip and a planted share of creep."""
+    data = planted_episodes(EXACT | {"sigmoid": (planted.sigmoid, 1.0)})
+    table = data.episodes
+    slipped = table.groupby("member_id")["moment"].cumsum() - table["moment"]
+    carried = -(200 * 0.2 * (1 - creep) * table["start"] - slipped)
+    answer = asked(replace(data, episodes=table.assign(z_sum=carried)), settings)
+    (said,) = (sentence(level) for level in of_kind(answer, Level) if level.quantity is episodes.WORDS[CREEP])
+    assert said.endswith(words)
+
+
+def hues_of(figure):
+    """Colours by the names in a legend."""
+    (legend,) = figure.legends
+    handles = zip(legend.get_texts(), legend.legend_handles, strict=True)
+    return {text.get_text(): handle.get_color() for text, handle in handles}
+
+
+@pytest.mark.drawn
+def test_a_setting_has_one_hue_in_all_figures(planted_episodes, planted, settings):
+    eps = (1e-3, 1e-5, 1e-4)
+    study = Study(
+        planted_episodes(EXACT | {f"{value:g}": (planted.sigmoid | {"eps": value}, 1.0) for value in eps}), settings
+    )
+    magnitudes, contrasts = (
+        hues_of(answer.figures[name].recipe())
+        for answer, name in ((episodes.answer(study), "magnitudes"), (changes_of(study), "contrasts"))
+    )
+    assert len({*magnitudes.values()}) == 4
+    assert contrasts == {name: hue for name, hue in magnitudes.items() if name != "exact"}
 
 
 @pytest.mark.drawn

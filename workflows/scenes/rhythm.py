@@ -28,7 +28,7 @@ from stickslip.analysis.findings.finding import (
     Reason,
     Verdict,
 )
-from stickslip.analysis.findings.numbers import signs
+from stickslip.analysis.findings.numbers import signs, span
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.grid import is_negative
 from stickslip.analysis.models.common_motion import Number
@@ -83,11 +83,14 @@ class Power(NamedTuple):
     p_misfit: float
     p_apart: float
 
-    def finding(self, alpha: float) -> Law:
+    def finding(self, alpha: float) -> Law | Lack:
         where = Place.key(f"|{self.key}|", f"{shown(self.first_value)} to {shown(self.last_value)}")
         fit = Fit.HOLDS if min(self.p_misfit, self.p_apart) >= alpha else Fit.FAILS
         law = f"follow a power law in |{self.key}|"
         name = f"exponent of the {NUMBERS[self.number].name} in |{self.key}|"
+        low, high = self.exponent.low or 0.0, self.exponent.high or 0.0
+        if fit is Fit.HOLDS and low <= 0.0 <= high:
+            return Lack(f"{name}{where.tail}", Reason.NOT_SHOWN, span(low, high))
         exponent = Level(Quantity("exponent", name), self.exponent, where)
         return Law(_PLURAL[self.number], law, exponent, fit, called="power")
 
@@ -114,7 +117,7 @@ def question(study: Study) -> Answer:
     powers = [power for key in KEYS for name in NUMBERS if (power := power_law(name, key, lines, confidence))]
     wide = [power for power in powers if power.last_value >= LEAST_FACTOR * power.first_value]
     laws = [power.finding(1 - confidence) for power in wide]
-    findings: list[Finding] = [*changed, *(law for law in laws if law.fit is Fit.HOLDS)]
+    findings: list[Finding] = [*changed, *(law for law in laws if isinstance(law, Lack) or law.fit is Fit.HOLDS)]
     shown_lines = [line for line in lines if line.key == lines[0].key]
     caption = f"{_trend(changed, shown_lines[0].key)}. Bars are {100 * confidence:g}% intervals."
     return Answer(

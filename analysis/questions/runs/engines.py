@@ -83,7 +83,7 @@ def answer(study: Study) -> Answer | None:
             levels += [step.level(reference, unit) for step in steps_beside]
             if not in_figure:
                 in_figure, title = steps_beside, f"differences from {reference}"
-    figures = forest(in_figure, title)
+    figures = forest(study, in_figure, title)
     lack = few("how far the engines differ", max(step.contrast.n_first for step in steps))
     criteria = {str(pair.group.key["stick"]) for pair in pairs if pair.threshold is not None}
     method = _METHOD + "".join(_CRITERIA.get(stick, "") for stick in sorted(criteria)[:1])

@@ -35,7 +35,7 @@ from stickslip.analysis.models.fates import LULL, QUIET, SUSTAINED, UNMOVED
 from stickslip.analysis.questions.runs.settled import OUTCOMES, Grid, Portion, Runs, Setting, portions, told_apart
 from stickslip.analysis.series.runs import by_number
 from stickslip.analysis.stats.survival import Curve
-from stickslip.analysis.style import PANEL, panel
+from stickslip.analysis.style import PANEL, hues, panel
 from stickslip.pipeline.design.design import Axis, in_words
 from stickslip.pipeline.design.units import DIMENSIONLESS, Units
 
@@ -45,8 +45,6 @@ MOST_MAPS = 3
 _VECTORS = 2000  # more marks than this are a bitmap inside the SVG
 _MOST_TICKS = 12  # of a map
 _MOST_NAMES, _NAME = 40, 0.16  # bars with names of their own; inches that each takes
-#: Of curves, as many as there may be: Okabe and Ito's.
-_HUES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "black", "#999999")
 _SHORT = 24  # of names in a legend of two columns
 
 
@@ -303,7 +301,8 @@ def _survival(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> Pictur
     see = f"Curves fall as runs {listed(ends, 'or')}. " if ends else ""
     count = f" {len(chosen)} of {len(settings)} settings are drawn." * (len(chosen) < len(settings))
     caption = f"{see}Share of runs still going{level}.{count}"
-    return Picture(partial(survival_curves, named_curves, t_end, study.settings.units), caption)
+    colours = hues(study, [chosen[same[0]].groups[0].label for same in alike.values()])
+    return Picture(partial(survival_curves, named_curves, colours, t_end, study.settings.units), caption)
 
 
 def _has_band(curve: Curve) -> bool:
@@ -312,9 +311,11 @@ def _has_band(curve: Curve) -> bool:
 
 
 @panel(3.4)
-def survival_curves(ax: Axes, curves: Mapping[str, Curve], t_end: float, units: Units = DIMENSIONLESS) -> None:
+def survival_curves(
+    ax: Axes, curves: Mapping[str, Curve], colours: Sequence[str], t_end: float, units: Units
+) -> None:
     """Share of runs that have not ended against time, a hue for each setting; with its interval where some ended."""
-    for (label, curve), hue in zip(curves.items(), _HUES, strict=False):
+    for (label, curve), hue in zip(curves.items(), colours, strict=True):
         steps = np.unique(np.linspace(0, len(curve[0]) - 1, MOST_STEPS).astype(np.int64))
         t = np.append(curve[0][steps], t_end)
         share, low, high = (np.append(column[steps], column[-1]) for column in curve[1:])

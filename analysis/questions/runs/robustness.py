@@ -72,7 +72,7 @@ def answer(study: Study) -> Answer | None:
         is_empty = isinstance(finding, Share) and finding.estimate.value == 0.0  # all end alike
         (further if is_empty else lead).append(finding)
     in_figure = [step for step in steps if step.contrast.is_known]
-    figures = forest(in_figure, "differences from the unchanged systems", "robustness")
+    figures = forest(study, in_figure, "differences from the unchanged systems", "robustness")
     lack = few("the effect of a changed system", len(all_copies[0].sums))
     method = _METHOD + _METHOD_OF_EFFECTS * has_effects
     findings = [*lead, *further] if lead else [lack]

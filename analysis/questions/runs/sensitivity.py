@@ -21,9 +21,9 @@ from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, Comparison, Follo
 from stickslip.analysis.series import parting
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.stats.survival import median
-from stickslip.analysis.style import CYCLE, panel
+from stickslip.analysis.style import hues, panel
 from stickslip.pipeline.design.design import Change
-from stickslip.pipeline.design.units import DIMENSIONLESS, Units
+from stickslip.pipeline.design.units import Units
 from stickslip.pipeline.design.values import shown
 from stickslip.sim.engines import ENGINES
 
@@ -145,7 +145,7 @@ def answer(study: Study) -> Answer | None:
     return Answer(
         findings=[lead[0], *support, *lead[1:]],
         n_lead=2,
-        figures=_figures([rate for rate in rates if rate.is_known], study.settings.units),
+        figures=_figures(study, [rate for rate in rates if rate.is_known]),
         method=_method(study),
     )
 
@@ -243,21 +243,23 @@ def _lifetime(alike: Sequence[Parting]) -> Lifetime:
 # ------------------------------------------------------------------------------------------------- figures
 
 
-def _figures(rates: Sequence[Rate], units: Units) -> dict[str, Picture]:
+def _figures(study: Study, rates: Sequence[Rate]) -> dict[str, Picture]:
     if not rates:
         return {}
     caption = (
         "How initial differences grow or shrink: distance of each system's copy from the original, over the initial"
         " distance, while they are proportional. Heavy: the fitted rate, over its range."
     )
-    return {"growth": Picture(partial(distances, rates, units), caption)}
+    colours = hues(study, [rate.setting.label for rate in rates])
+    return {"growth": Picture(partial(distances, rates, colours, study.settings.units), caption)}
 
 
 @panel(3.4)
-def distances(ax: Axes, rates: Sequence[Rate], units: Units = DIMENSIONLESS) -> None:
+def distances(ax: Axes, rates: Sequence[Rate], colours: Sequence[str], units: Units) -> None:
     """Distances of displaced runs from their base, over that at the start, on a logarithmic axis, with the fits."""
-    for k, rate in enumerate(rates):
-        colour, form = CYCLE[k % len(CYCLE)], ("-", "--", ":")[k // len(CYCLE) % 3]
+    sizes = sorted({rate.size for rate in rates})
+    for rate, colour in zip(rates, colours, strict=True):
+        form = ("-", "--", ":")[sizes.index(rate.size) % 3]
         for t, distance in rate.in_proportion:
             ax.plot(t, distance, form, color=colour, linewidth=0.5, alpha=0.5)
         ax.plot(*rate.fit, form, color=colour, linewidth=2.2, label=f"{rate.setting.label}: {shown(rate.size)}")

@@ -8,24 +8,27 @@ from functools import partial
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullLocator
 
-from stickslip.analysis.answer import Answer, Picture, Question, lack, places, systems
+from stickslip.analysis.answer import Answer, Picture, Question, Recipe, lack, places, systems
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
-from stickslip.analysis.findings.finding import Basis, Finding, Form, Lack, Law, Level, Quantity, Reason
+from stickslip.analysis.findings.finding import Basis, Finding, Fit, Form, Lack, Law, Level, Quantity, Reason
 from stickslip.analysis.findings.numbers import number, signs
 from stickslip.analysis.findings.place import Place
+from stickslip.analysis.findings.words import listed
+from stickslip.analysis.groups import Group
 from stickslip.analysis.models.common_motion import SURROGATES, Number, Shown
 from stickslip.analysis.questions.slips.slow_motion import CYCLES, Band, Slow, slow_motion
-from stickslip.analysis.questions.slips.triggering import CLUSTERING, Exits, exits_of, triggered
+from stickslip.analysis.questions.slips.triggering import CLUSTERING, exits_of, triggered
 from stickslip.analysis.rows import frame_by, frame_of
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats.estimates import Estimate, with_ends
-from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, bars, panel
-from stickslip.pipeline.design.units import DIMENSIONLESS, Units
+from stickslip.analysis.stats.multiplicity import holm
+from stickslip.analysis.style import GREY, bars, hues, panel
+from stickslip.pipeline.design.units import Units
 
 WHAT = "collective motion"
 N_STICK = "the number of sticking blocks"
-MOST_GROUPS = 3  # which are drawn
+MOST_GROUPS = 3  # which are drawn, or named in an alert
 Q = Quantity(
     "quality",
     "Q of slow common motion",
@@ -55,66 +58,59 @@ def answer(study: Study) -> Answer:
     motions.sort(key=lambda motion: not motion.is_shown)  # of like ones the first leads
     if not motions:
         return Answer(findings=[Lack(WHAT, Reason.FEW_EVENTS)])
-    level, lead = study.settings.confidence, motions[0]
-    exits = exits_of(study, lead.group)
+    level, lead, where_of, unit = study.settings.confidence, motions[0], places(study), systems(study)
+    exits, where = exits_of(study, lead.group), where_of[lead.group.label]
     bands = {motion.group.label: motion.bands(level) for motion in motions[:MOST_GROUPS]}
-    named = {signs(str(places(study)[label]) or label): group for label, group in bands.items() if group}
-    leading = _leading(study, lead, exits)
-    unit = systems(study)
-    others = [_law(motion, places(study)[motion.group.label], unit) for motion in motions[1:] if motion.is_shown]
-    where = places(study)[lead.group.label]
+    drawn = [label for label, of_group in bands.items() if of_group]
+    named = {signs(str(where_of[label]) or label): bands[label] for label in drawn}
+    recipe = partial(spectrum, named, hues(study, drawn), study.settings.units)
+    fitted = [(motion, where_of[motion.group.label]) for motion in motions if motion.is_shown]
+    p_values = holm([motion.goodness.p_value for motion, _ in fitted]).tolist()
+    missed = {str(place): p for (_, place), p in zip(fitted, p_values, strict=True) if p < 1 - level}
+    laws = [_law(motion, place, unit, str(place) in missed) for motion, place in fitted]
+    leading: list[Finding] = [_lacking(lead, where, study.settings)]
+    if laws:
+        leading = [laws[0], Level(Q, lead.fit.estimates[Number.QUALITY], where, basis=Basis(len(lead.units), unit))]
+    shares = [] if exits is None else triggered(exits, where, unit)
     pairs, basis = ((), None) if exits is None else (exits.pairs, Basis(exits.n_units, unit))
     compared = [row.level(where, basis) for row in pairs if row.observed.low is not None]
     return Answer(
-        findings=[*leading, *others, *compared],
-        n_lead=1 if lead.is_shown else min(2, len(leading)),
-        alerts=_alerts(lead, 1 - level),
+        findings=[*leading, *shares, *laws[1:], *compared],
+        n_lead=1 if laws else 1 + bool(shares),
+        alerts=_alerts(lead.group, missed, len(laws)),
         method=_METHOD,
         tables={
             "clustering": frame_by(CLUSTERING, pairs),
             "spectrum": frame_of(Band, (band for group in bands.values() for band in group)),
         },
-        figures={"collective": _picture(named, lead, where, study.settings.units)} if named else {},
+        figures={"collective": _picture(recipe, lead, where)} if named else {},
     )
 
 
-def _alerts(motion: Slow, alpha: float) -> list[Alert]:
-    """That runs are left out, and that the fit is no more than a summary."""
-    group, alerts = motion.group, []
+def _alerts(group: Group, missed: Mapping[str, float], n_fits: int) -> list[Alert]:
+    """That runs are left out, and at which settings the fit is no more than a summary, by adjusted p-values."""
+    alerts = []
     if group.n_moving < len(group):
         alerts.append(Alert.of(Code.NOT_MOVING, n=len(group) - group.n_moving, of=len(group), what=WHAT))
-    if motion.is_shown and motion.goodness.p_value < alpha:
-        alerts.append(Alert.of(Code.MISFIT, deviance=round(motion.goodness.deviance), dof=motion.goodness.dof))
+    if missed:
+        which = listed([*missed]) if len(missed) <= MOST_GROUPS else f"{len(missed)} settings"
+        where, among = (f" at {which}", f" among {n_fits} settings") if n_fits > 1 else ("", "")
+        alerts.append(Alert.of(Code.MISFIT, where=where, p=f"{min(missed.values()):.2g}", among=among))
     return alerts
 
 
-def _leading(study: Study, motion: Slow, exits: Exits | None) -> list[Finding]:
-    """What one group shows: first its slow common motion or, if none is shown, why; and exits that trigger others."""
-    unit, where = systems(study), places(study)[motion.group.label]
-    shares = [] if exits is None else triggered(exits, where, unit)
-    if not motion.is_shown:
-        return [_lacking(motion, where, study.settings), *shares]
-    return [_law(motion, where, unit), *_fit(motion, where, unit), *shares]
-
-
-def _law(motion: Slow, where: Place, unit: str) -> Law:
-    """At what period blocks move together, and how much of the variance that is."""
-    basis, estimates = Basis(len(motion.units), unit), motion.fit.estimates
+def _law(motion: Slow, where: Place, unit: str, is_missed: bool) -> Law:
+    """At what period blocks move together, how much of the variance that is, and how far data are from the fit."""
+    basis, estimates, goodness = Basis(len(motion.units), unit), motion.fit.estimates, motion.goodness
+    on = Place.words(f"{goodness.dof} degrees of freedom")
+    deviance = Level(DEVIANCE, Estimate(goodness.deviance), where + on)
     period, share = (
         Level(quantity, estimates[number], where, basis=basis)
         for quantity, number in ((PERIOD, Number.PERIOD), (SHARE, Number.SHARE))
     )
-    together = "move together slowly"
-    return Law("blocks", together, period, scope=share, things="the variance", called="natural period")
-
-
-def _fit(motion: Slow, where: Place, unit: str) -> list[Finding]:
-    """Q of slow common motion, and the goodness of its fit."""
-    basis, estimates, goodness = Basis(len(motion.units), unit), motion.fit.estimates, motion.goodness
-    return [
-        Level(Q, estimates[Number.QUALITY], where, basis=basis),
-        Level(DEVIANCE, Estimate(goodness.deviance), where + Place.words(f"{goodness.dof} degrees of freedom")),
-    ]
+    together, fit = "move together slowly", Fit.CLOSE if is_missed else Fit.HOLDS
+    nearly = f"{together}, but not as a damped oscillator"
+    return Law("blocks", together, period, fit, deviance, nearly, "natural period", share, "the variance")
 
 
 def _lacking(motion: Slow, where: Place, settings: AnalysisSettings) -> Lack:
@@ -129,17 +125,17 @@ def _lacking(motion: Slow, where: Place, settings: AnalysisSettings) -> Lack:
 # ---------------------------------------------------------------------------------------------- the figure
 
 
-def _picture(drawn: Mapping[str, Sequence[Band]], motion: Slow, where: Place, units: Units) -> Picture:
+def _picture(recipe: Recipe, motion: Slow, where: Place) -> Picture:
     """Power at long periods, with the fit of slow common motion and, of the group that leads, its goodness."""
     power = f"the power spectrum of {N_STICK}"
     words = f"Periods are over {CYCLES:g} of a block's own cycles. Dashed: time-shifted blocks; bars: intervals"
     if not motion.is_shown:
         shows = "does not rise above" if motion.shown is Shown.NONE else "takes longer runs to tell from"
         caption = f"At long periods {power} {shows} that of time-shifted blocks. {words}."
-        return Picture(partial(spectrum, drawn, units), caption)
+        return Picture(recipe, caption)
     fit, quality = motion.goodness, number(motion.fit.values[Number.QUALITY][0], digits=2)
     return Picture(
-        partial(spectrum, drawn, units),
+        recipe,
         f"At long periods {power} rises above that of time-shifted blocks. {words}; lines through marks: a damped"
         f" oscillator{where.tail}{',' * bool(where)} with Q = {quality} and a deviance of {fit.deviance:.0f} on"
         f" {fit.dof} degrees of freedom (p-value {fit.p_value:.2g}).",
@@ -147,14 +143,13 @@ def _picture(drawn: Mapping[str, Sequence[Band]], motion: Slow, where: Place, un
 
 
 @panel(3.4)
-def spectrum(ax: Axes, groups: Mapping[str, Sequence[Band]], units: Units = DIMENSIONLESS) -> None:
+def spectrum(ax: Axes, groups: Mapping[str, Sequence[Band]], colours: Sequence[str], units: Units) -> None:
     """Power of n_stick over that of time-shifted blocks against the period, with the fit."""
     ax.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
-    for k, (label, bands) in enumerate(groups.items()):
-        colour = (EXACT, SMOOTHED, GREEN)[k]
+    for k, ((label, bands), colour) in enumerate(zip(groups.items(), colours, strict=True)):
         with_interval = [band for band in bands if band.ratio.low is not None]
         period, ends = [band.middle for band in with_interval], with_ends(band.ratio for band in with_interval)
-        look = {"fmt": "os^"[k], "mfc": (EXACT, "white", "white")[k], "color": colour, "label": label}
+        look = {"fmt": "os^"[k], "mfc": "white" if k else colour, "color": colour, "label": label}
         bars(ax, period, ends, markersize=3, linewidth=0.9, **look)
         models = [band.model for band in bands if band.model is not None]
         if models:

@@ -71,8 +71,9 @@ from stickslip.analysis.rows import Columns, frame_by, frame_of
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio, within
 from stickslip.analysis.steps import table_of
-from stickslip.analysis.style import CYCLE, GREY, panel
+from stickslip.analysis.style import GREY, hues, panel
 
+ROUNDING = 1e-9  # of the belt's travel: what ten million steps of one rounding each may leave of it
 SLOW = 0.05  # largest share of time in episodes if the drive is slow for the chain
 CLASS = 0.1  # width of a class of magnitudes, as catalogues round them
 MOST_DRAWN = 8  # groups in the figure of magnitudes
@@ -287,7 +288,7 @@ def answer(study: Study) -> Answer | None:
         alerts=alerts,
         method=_METHOD,
         tables=tables,
-        figures=_figures(counted, in_order, rates),
+        figures=_figures(study, counted, in_order, rates),
     )
 
 
@@ -308,6 +309,8 @@ def _level(group: Catalogues, name: str, apart: Sequence[Apart], unit: str) -> L
     estimate = group.estimates[name]
     reference = next((pair.comparison() for pair in apart if pair.setting is group and pair.name == name), None)
     basis = Basis(len(group.sums[name].counted), unit)
+    if name == CREEP and max(abs(end or 0.0) for end in (estimate.value, estimate.low, estimate.high)) < ROUNDING:
+        estimate = Estimate(high=ROUNDING)
     return Level(WORDS[name], estimate, Place.of(group.method), reference, basis)
 
 
@@ -440,9 +443,7 @@ def _picture(study: Study, group: Catalogues, where: Place) -> list[Finding]:
     span = f"M = {law.least:.1f} to {law.most:.1f}"
     if law.picture is Kind.NONE:
         mean = Level(MOMENT, _mean_moment(study, group), where, basis=basis)
-        findings: list[Finding] = [
-            Law(moments, f"follow a power law, since {law.why}", mean, Fit.FAILS, replace(mean, where=where))
-        ]
+        findings: list[Finding] = [Law(moments, f"follow a power law, since {law.why}", mean, Fit.FAILS)]
     elif law.picture is Kind.DECLARED:
         declared = where + Place.words(f"{span}, as declared")
         findings = [replace(level, where=declared) for level in (Level(B_VALUE, law.b, basis=basis), scope)]
@@ -558,13 +559,14 @@ def _rates(groups: Sequence[Catalogues], first_edge: float, level: float) -> lis
 
 
 def _figures(
-    groups: Sequence[Catalogues], leaders: Sequence[Catalogues], rates: Sequence[Frequency]
+    study: Study, groups: Sequence[Catalogues], leaders: Sequence[Catalogues], rates: Sequence[Frequency]
 ) -> dict[str, Picture]:
     """The magnitudes of all settings, those that lead first, and what happens around large events."""
     shown = [*leaders, *(group for group in groups if group not in leaders)][:MOST_DRAWN]
+    colours = hues(study, [group.label for group in shown])
     figures = {
         "magnitudes": Picture(
-            partial(magnitudes, rates, [Drawn.of(group) for group in shown]),
+            partial(magnitudes, rates, [Drawn.of(*drawn) for drawn in zip(shown, colours, strict=True)]),
             "Above: share of episodes per unit of magnitude, M = log10 moment. Below: episodes per unit time of at"
             " least each magnitude. A power law is a straight line, drawn on its range where one fits."
             + " Dashed: where the peak begins."
@@ -572,8 +574,9 @@ def _figures(
         )
     }
     if any(group.recurrence.bins for group in leaders):
+        bins = [(str(group.method), hue, group.recurrence.bins) for group, hue in zip(leaders, colours, strict=False)]
         figures["recurrence"] = Picture(
-            partial(hazards, [(str(group.method), group.recurrence.bins) for group in leaders[:MOST_DRAWN]]),
+            partial(hazards, bins),
             "Above: rate of the next large event, by the time since the last. Below: rate of small events before and"
             " after a large one. Both over their mean, which a Poisson process has at all times; bars: intervals.",
         )
@@ -585,35 +588,36 @@ class Drawn(NamedTuple):
 
     label: str
     name: str
+    hue: str
     at: np.ndarray
     density: np.ndarray
     begins: float | None
 
     @classmethod
-    def of(cls, group: Catalogues) -> Drawn:
+    def of(cls, group: Catalogues, hue: str) -> Drawn:
         law, at, density = group.law, np.zeros(0), np.zeros(0)
         if law.fit is not None and law.has_b:
             at = law.least + WIDTH * (law.fit.sizes - 0.5)
             density = law.fit.shares() * law.n_fitted / (group.n_episodes * WIDTH)
-        return cls(group.label, str(group.method), at, density, law.begins)
+        return cls(group.label, str(group.method), hue, at, density, law.begins)
 
 
 @panel(4.6, nrows=2, sharex=True)
 def magnitudes(axes: np.ndarray, rates: Sequence[Frequency], drawn: Sequence[Drawn]) -> None:
     """Density of magnitudes with the fitted laws, and rates from each magnitude on; one hue a group."""
     above, below = axes
-    for hue, marker, law in zip(itertools.cycle(CYCLE), itertools.cycle("osDv^P"), drawn):
+    for marker, law in zip(itertools.cycle("osDv^P"), drawn):
         rows = [rate for rate in rates if rate.group == law.label]
         full = [(rate.magnitude + CLASS / 2, rate.density) for rate in rows if rate.density > 0]
         if not full:
             continue
-        look: dict[str, Any] = {"color": hue, "marker": marker, "markersize": 3, "linestyle": ""}
+        look: dict[str, Any] = {"color": law.hue, "marker": marker, "markersize": 3, "linestyle": ""}
         above.plot(*zip(*full, strict=True), label=law.name, **look)
-        above.plot(law.at, law.density, color=hue)
+        above.plot(law.at, law.density, color=law.hue)
         below.plot([rate.magnitude for rate in rows], [rate.rate.value for rate in rows], **look)
         if law.begins is not None:
             for ax in axes:
-                ax.axvline(law.begins, color=hue, linestyle="--", linewidth=0.8)
+                ax.axvline(law.begins, color=law.hue, linestyle="--", linewidth=0.8)
     above.set(ylabel="density", yscale="log")
     below.set(xlabel=r"magnitude, M = $\log_{10}$ moment", ylabel=r"episodes per unit time, $\geq$ M", yscale="log")
     if len(drawn) > 1:
@@ -622,10 +626,10 @@ def magnitudes(axes: np.ndarray, rates: Sequence[Frequency], drawn: Sequence[Dra
 
 
 @panel(4.6, nrows=2)
-def hazards(axes: np.ndarray, groups: Sequence[tuple[str, Sequence[Bin]]]) -> None:
+def hazards(axes: np.ndarray, groups: Sequence[tuple[str, str, Sequence[Bin]]]) -> None:
     """Rate of large events since the last, and of small ones around large, in units of the mean time between."""
     above, below = axes
-    for hue, (name, bins) in zip(itertools.cycle(CYCLE), groups):
+    for name, hue, bins in groups:
         for bar in bins:
             middle, relative = (bar.low + bar.high) / 2, bar.relative
             if relative.value is None or 0 < bar.n_events < FEWEST_IN_BIN:
