@@ -18,10 +18,7 @@ class Code(Enum):
     DIVERGED = 2, "The motion grew without limit in {n:,} of {of:,} runs{where}; estimates are of the others."
     SETTLED = 2, "{n:,} of {of:,} runs settled into steady sliding; {what} is of the others."
     NOT_MOVING = 2, "{n:,} of {of:,} runs are not in motion; {what} is of the others."
-    MISFIT = (
-        3,
-        "A damped oscillator misses the slow spectrum{where} (p-value {p}{among}): its period and Q are rough.",
-    )
+    MISFIT = 3, "A damped oscillator misses the slow spectrum{where} (p-value {p}{among}): period and Q are rough."
     UNCERTIFIED = 2, "{n:,} of {of:,} runs are sliding so far: it is not proved that no block sticks again."
     WITHOUT = 2, "{n:,} of {of:,} runs have no {what} and are left out there: {why}."
     WITHHELD = 2, "{what} is not given at {n} of {of} points: {why}."

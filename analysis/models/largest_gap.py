@@ -20,7 +20,6 @@ from stickslip.analysis.stats.estimates import Estimate, Undefined
 MOST_JUMPS = 100_000  # of more jumps so many quantiles, which miss 1e-5 of the gap at most
 POINTS = 200  # quantiles at which a gap is tested: each pattern of swaps takes all of them
 Pairs = Sequence[tuple[np.ndarray, np.ndarray]]
-Places = slice | np.ndarray
 
 
 @dataclass(frozen=True)
@@ -67,19 +66,20 @@ def largest_gap(pairs: Pairs, confidence: float, rng: np.random.Generator) -> Di
     if not sorted_pairs:
         raise Undefined(FEW_MATRICES)
     pooled = np.sort(np.concatenate([x for pair in sorted_pairs for x in pair]))
-    jumps, points = (pooled[np.arange(m) * len(pooled) // m] for m in (min(len(pooled), MOST_JUMPS), POINTS))
-    edges = np.union1d(jumps, points)
+    n_jumps = min(len(pooled), MOST_JUMPS)
+    points, jumps = (np.unique(pooled[np.arange(m) * len(pooled) // m]) for m in (POINTS, n_jumps))
+    edges = np.append(points, jumps)
     edges = edges[edges < pooled[-1]]
     if not len(edges):
         raise Undefined("one value")
     weights = np.array([len(a) * len(b) / (len(a) + len(b)) for a, b in sorted_pairs])
     gaps = np.array([_below(b, edges) - _below(a, edges) for a, b in sorted_pairs])
     weights /= weights.sum()
-    return distance(weights[:, None] * gaps, weights, confidence, rng, np.isin(edges, points))
+    return distance(weights[:, None] * gaps, weights, confidence, rng, len(points))
 
 
 def distance(
-    shares: np.ndarray, weights: np.ndarray, confidence: float, rng: np.random.Generator, tested: Places = slice(None)
+    shares: np.ndarray, weights: np.ndarray, confidence: float, rng: np.random.Generator, n_tested: int | None = None
 ) -> Difference:
     """Largest of some differences of distribution functions, each a sum over systems; the interval of `largest_gap`.
 
@@ -89,8 +89,8 @@ def distance(
         What each system adds to each difference; of either sign with equal chance where there is none.
     weights : ndarray, shape (G,)
         The part of each system in a difference that all systems have; they add to 1.
-    tested : slice or ndarray of bool, shape (K,)
-        The differences that are tested; all by default.
+    n_tested : int, optional
+        How many of the differences, from the first on, are tested; default: all.
 
     Raises
     ------
@@ -102,13 +102,13 @@ def distance(
         raise Undefined(FEW_MATRICES)
     off = np.sqrt(n / (n - 1)) * (shares - weights[:, None] * observed)
     signs, p_floor = flips.patterns(n, rng), flips.floor(n)
-    swapped = np.abs(signs @ shares[:, tested]).max(axis=1)
+    swapped = np.abs(signs @ shares[:, :n_tested]).max(axis=1)
     p_different, gap = flips.p_value(swapped, p_floor), float(np.abs(observed).max())
     error = np.sqrt((off**2).sum(axis=0))
     high = float(np.max(np.abs(observed) + student.quantile(confidence, n - 1) * error))
     low = 0.0
     if p_different < 1 - confidence:
-        errors = np.abs(signs[1:] @ off[:, tested]).max(axis=1)
+        errors = np.abs(signs[1:] @ off[:, :n_tested]).max(axis=1)
         low = max(float(swapped[0] - np.quantile(errors, confidence)), 0.0)
     return Difference(Estimate(gap, low, min(high, 1.0)), p_different, p_floor)
 

@@ -37,7 +37,7 @@ from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import Compared
 from stickslip.analysis.stats.estimates import Estimate, jackknife_error, with_ends
 from stickslip.analysis.stats.multiplicity import holm
-from stickslip.analysis.style import EXACT, GREEN, ORANGE, PURPLE, SMOOTHED, bars, panel
+from stickslip.analysis.style import HUES, bars, panel
 from stickslip.pipeline.design.values import shown
 
 KEYS = ("n", "kappa", "rho", "belt_speed")
@@ -253,7 +253,7 @@ def periods(ax: Axes, lines: Sequence[Along]) -> None:
     for k, line in enumerate(lines):
         x = [sign * float(motion.group.key[line.key]) for motion in line.groups]
         periods = with_ends(motion.fit.estimates[Number.PERIOD] for motion in line.groups)
-        colour, form = (EXACT, SMOOTHED, GREEN, PURPLE, ORANGE)[k % 5], f"{'os^Dv'[k % 5]}-"
+        colour, form = HUES[k % len(HUES)], f"{'os^Dv'[k % 5]}-"
         bars(ax, x, periods, fmt=form, color=colour, markersize=3.5, linewidth=0.9, label=signs(str(line.at)))
     ax.set(xlabel=f"|{lines[0].key}|" if is_of_size else lines[0].key, ylabel="natural period")
     if len(lines) > 1:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
@@ -209,8 +208,8 @@ def answer(study: Study) -> Answer:
     lead, *others = alike
     where = places(study)
     leading = _findings(study, lead, where[lead.group.label])
-    rates = [_rates(study, entry, where[entry.group.label]) for entry in others]
-    findings = [rate for beside_null in zip_longest(*rates) for rate in beside_null if rate is not None]
+    findings = [rate for entry in others for rate in _rates(study, entry, where[entry.group.label])]
+    findings.sort(key=lambda rate: rate.quantity is not RATE)  # beside ln 2 first
     curves = [entry for entry in with_rate if entry.n == lead.n][:MOST_DRAWN]
     definitions = cascade_definitions.compared(study, lead.group)
     return Answer(
