@@ -20,8 +20,8 @@ from stickslip.sim.engines.coulomb.model import Model
 from stickslip.sim.engines.coulomb.overdamped import Slow, is_heavy
 from stickslip.sim.engines.coulomb.sparse import Local
 from stickslip.sim.engines.coulomb.windows import Search, Work
+from stickslip.sim.engines.course import Events, FirstSlice, State
 from stickslip.sim.engines.forcing import Drive
-from stickslip.sim.engines.loop import Events, FirstSlice, State
 from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.engines.stacks import Several, Stack
 from stickslip.sim.kernels.compile import kernel
