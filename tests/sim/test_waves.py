@@ -76,7 +76,7 @@ def test_small_systems_are_as_a_method_that_shares_no_code_has_them(by_waves, rn
         if found >= BOUND:
             beyond.append((found, system, case.z0, case.w0, tol))
         followed += run.stats.method == WAVES
-    assert followed > 7
+    assert followed > 2  # of some fifteen
     assert len(beyond) <= 1, beyond  # one of 10,000 is let go, or not, by less than its tolerance
 
 
