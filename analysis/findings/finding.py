@@ -306,8 +306,10 @@ class Lifetime:
         Which runs, and what those do whose time is cut off: "runs", "still stick and slip".
     horizon : float
         The time to which runs were followed.
-    share_left : float
-        The share of runs that were cut off.
+    share_left : Estimate
+        The share of things that were cut off, said in place of a median that is not reached.
+    n : int, optional
+        How many things there are.
     """
 
     quantity: Quantity
@@ -315,10 +317,17 @@ class Lifetime:
     predicate: str
     estimate: Estimate
     horizon: float
-    share_left: float
+    share_left: Estimate
     where: Place = EVERYWHERE
     comparison: Comparison | None = None
     basis: Basis | None = None
+    n: int | None = None
+
+    @property
+    def left(self) -> Share:
+        """The share of the things that were cut off."""
+        predicate = f"{self.predicate} at t = {in_unit(f'{self.horizon:g}', self.quantity.unit)}"
+        return Share("left", self.things, predicate, self.share_left, self.where, None, self.basis, self.n)
 
 
 class Fit(StrEnum):
@@ -585,6 +594,8 @@ def levels(finding: Finding) -> list[Level]:
                 replace(finding, comparison=comparison, also=()) for comparison in (finding.comparison, *finding.also)
             ]
         case Lifetime(quantity, estimate=estimate):
+            if estimate.value is None:
+                return levels(finding.left)
             return [Level(quantity, estimate, finding.where, finding.comparison, finding.basis)]
         case Share(key, things, predicate, estimate, where, comparison, basis):
             return [Level(_share(key, things, predicate), estimate, where, comparison, basis)]

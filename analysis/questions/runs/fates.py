@@ -62,7 +62,7 @@ from stickslip.analysis.questions.runs.settled import (
 from stickslip.analysis.rows import frame_of
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate
-from stickslip.analysis.stats.survival import Curve, median
+from stickslip.analysis.stats.survival import Curve, median_of_known
 from stickslip.pipeline.design.labels import engine_name
 
 MOST_LINES = 12  # along a key, and settings with shares of their own
@@ -286,7 +286,7 @@ def _beside(row: Portion, published: float | None) -> Comparison | None:
 
 
 def _lifetime(study: Study, row: Ends) -> Lifetime:
-    setting, share_left = row.setting, float(row.curve[1][-1])
+    setting, (share, low, high) = row.setting, (float(column[-1]) for column in row.curve[1:])
     basis = Basis(setting.n_units, unit(study, [setting]))
     return Lifetime(
         row.quantity,
@@ -294,7 +294,7 @@ def _lifetime(study: Study, row: Ends) -> Lifetime:
         "still stick and slip",
         row.lifetime,
         setting.t_end,
-        share_left,
+        Estimate(share, low, high),
         setting.where,
         basis=basis,
     )
@@ -314,8 +314,7 @@ def _delays(study: Study) -> Iterator[Level]:
         for method in methods:
             delays = (_last_events(method) - reference_times).dropna().to_numpy()
             if len(delays):
-                interval = median(delays, np.full(len(delays), True), study.settings.confidence)
-                delay = replace(interval, value=float(np.median(delays)))
+                delay = median_of_known(delays, study.settings.confidence)
                 beside = Comparison(engine_name(reference.key["engine"]))
                 yield Level(DELAY, delay, where[method.label], beside, Basis(len(delays), noun(study.unit)))
 

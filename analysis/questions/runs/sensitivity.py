@@ -20,6 +20,7 @@ from stickslip.analysis.models.growth import Growth, growth
 from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, Comparison, Followed, Setting, follow, level, settings
 from stickslip.analysis.series import parting
 from stickslip.analysis.stats.estimates import Estimate
+from stickslip.analysis.stats.shares import wilson
 from stickslip.analysis.stats.survival import median
 from stickslip.analysis.style import CYCLE, panel
 from stickslip.pipeline.design.design import Change
@@ -42,7 +43,7 @@ def _method(study: Study) -> str:
         f" while all pairs lie between a floor ({FLOOR:g}, or {TOLERANCES:g} rtol under a smoothed law) and"
         f" {CEILING:g}; none is given where more than a tenth of the pairs leave that range. Copies have parted when"
         f" |difference of n_stick|, averaged over {parting.SPAN * settings.time:g} {unit}, first reaches"
-        f" {100 * parting.SHARE:g}% of what two systems show after t_burn."
+        f" {100 * parting.SHARE:g}% of what two systems show after t_burn while both are followed."
     )
 
 
@@ -113,15 +114,17 @@ class Rate(NamedTuple):
 
 
 class Parting(NamedTuple):
-    """When the copies with one change have parted from their base, in how many of the systems known to the end.
+    """When the copies with one change have parted from their base, in how many systems that is known.
 
-    In `n_grew` others the motion of one of the two grew without limit before they parted.
+    `left` is the share of these whose copies are still together; in `n_grew` other systems the motion of one of the
+    two grew without limit before they parted.
     """
 
     setting: Setting
     change: Change
     pairs: Followed
     half: Estimate
+    left: Estimate
     n_systems: int
     n_grew: int
 
@@ -201,14 +204,15 @@ def _partings(study: Study, setting: Setting) -> Iterator[Parting]:
         return
     followed = follow(study, setting.comparisons, typical_gap, float(setting.key["t_end"]))
     for comparison, pairs in zip(setting.comparisons, followed, strict=True):
-        if not len(pairs):
-            continue
         _, firsts = np.unique(pairs.matrix, return_index=True)  # of several draws: systems are the independent units
         has_parted = pairs.has_parted[firsts]
         times = np.where(has_parted, pairs.t[firsts], pairs.t_stop[firsts])
-        half = median(times, has_parted, study.settings.confidence)
         n_grew = int(np.sum(~has_parted & (times < setting.key["t_end"])))
-        yield Parting(setting, comparison.change, pairs, half, len(times) - n_grew, n_grew)
+        if n_systems := len(times) - n_grew:
+            half = median(times, has_parted, study.settings.confidence)
+            n_left = n_systems - int(has_parted.sum())
+            left = Estimate(n_left / n_systems, *wilson(n_left, n_systems, study.settings.confidence))
+            yield Parting(setting, comparison.change, pairs, half, left, n_systems, n_grew)
 
 
 def _alike(partings: Sequence[Parting]) -> list[list[Parting]]:
@@ -230,14 +234,12 @@ def _lifetime(alike: Sequence[Parting]) -> Lifetime:
     }[example.change.kind]
     where, horizon = Place.of(example.setting.label), float(example.setting.key["t_end"])
     where += Place.words(f"with {change}")
-    n_parted = sum(int(parted.pairs.has_parted.sum()) for parted in alike)
-    n_left = sum(int(np.sum(~parted.pairs.has_parted & (parted.pairs.t_stop >= horizon))) for parted in alike)
-    share_left = n_left / max(n_left + n_parted, 1)
     if example.n_grew:
         n_all = example.n_systems + example.n_grew
         where += Place.words(f"{example.n_grew} of {n_all} systems grew without limit before")
     basis = Basis(example.n_systems)
-    return Lifetime(PARTED, "copies", "are still together", example.half, horizon, share_left, where, basis=basis)
+    ends, n = (example.half, horizon, example.left), sum(parted.n_systems for parted in alike)
+    return Lifetime(PARTED, "copies", "are still together", *ends, where, basis=basis, n=n)
 
 
 # ------------------------------------------------------------------------------------------------- figures
