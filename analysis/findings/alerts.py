@@ -16,16 +16,16 @@ class Code(Enum):
     FAILED = 1, "{n:,} of {of:,} runs failed and are left out."
     DRIFT = 1, "{what}{where} still drifts after t_burn = {t_burn:g}: lengthen the runs, and raise t_burn."
     DIVERGED = 2, "The motion grew without limit in {n:,} of {of:,} runs{where}; estimates are of the others."
-    SETTLED = 2, "{n:,} of {of:,} runs settled into steady sliding; {what} is of the others."
+    SETTLED = 2, "{n:,} of {of:,} runs ended in steady sliding; {what} is of the others."
     NOT_MOVING = 2, "{n:,} of {of:,} runs are not in motion; {what} is of the others."
     MISFIT = (
         3,
         "A damped oscillator misses the slow spectrum (deviance {deviance} on {dof} degrees of freedom): Q is rough.",
     )
-    UNCERTIFIED = 2, "{n:,} of {of:,} runs are sliding so far: it is not proved that no block sticks again."
+    UNCERTIFIED = 2, "{n:,} of {of:,} runs slide but may stick again: there is no proof that no block does."
     WITHOUT = 2, "{n:,} of {of:,} runs have no {what} and are left out there: {why}."
     WITHHELD = 2, "{what} is not given at {n} of {of} points: {why}."
-    TEMPORARY = 2, "{n:,} of {of:,} runs are sliding so far, but unstable: a block sticks again later."
+    TEMPORARY = 2, "{n:,} of {of:,} runs slide but will stick again: their sliding is unstable."
     UNDECIDED = 2, "{n:,} of {of:,} runs are undecided; the column attractor_reason says why."
     FEW = 3, "Only {n} {units}: intervals are wide."
     OVERLAP = (

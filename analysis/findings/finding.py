@@ -279,7 +279,7 @@ class Share:
     things : str
         In the plural: "starts", "runs".
     predicate : str
-        A verb phrase in the plural: "settle into steady sliding".
+        A verb phrase in the plural: "end in steady sliding".
     n : int, optional
         How many things there are.
     """
@@ -296,38 +296,13 @@ class Share:
 
 @dataclass(frozen=True)
 class Lifetime:
-    """The median time until something ends, which the end of a run may cut off.
-
-    Attributes
-    ----------
-    quantity : Quantity
-        The median lifetime.
-    things, predicate : str
-        Which runs, and what those do whose time is cut off: "runs", "still stick and slip".
-    horizon : float
-        The time to which runs were followed.
-    share_left : Estimate
-        The share of things that were cut off, said in place of a median that is not reached.
-    n : int, optional
-        How many things there are.
-    """
+    """The median time until something ends, which the end of a run may cut off; a `Share` if it is not reached."""
 
     quantity: Quantity
-    things: str
-    predicate: str
     estimate: Estimate
-    horizon: float
-    share_left: Estimate
     where: Place = EVERYWHERE
     comparison: Comparison | None = None
     basis: Basis | None = None
-    n: int | None = None
-
-    @property
-    def left(self) -> Share:
-        """The share of the things that were cut off."""
-        predicate = f"{self.predicate} at t = {in_unit(f'{self.horizon:g}', self.quantity.unit)}"
-        return Share("left", self.things, predicate, self.share_left, self.where, None, self.basis, self.n)
 
 
 class Fit(StrEnum):
@@ -593,10 +568,8 @@ def levels(finding: Finding) -> list[Level]:
             return [
                 replace(finding, comparison=comparison, also=()) for comparison in (finding.comparison, *finding.also)
             ]
-        case Lifetime(quantity, estimate=estimate):
-            if estimate.value is None:
-                return levels(finding.left)
-            return [Level(quantity, estimate, finding.where, finding.comparison, finding.basis)]
+        case Lifetime(quantity, estimate, where, comparison, basis):
+            return [Level(quantity, estimate, where, comparison, basis)]
         case Share(key, things, predicate, estimate, where, comparison, basis):
             return [Level(_share(key, things, predicate), estimate, where, comparison, basis)]
         case Change(quantity, keys, _, after, difference, where, basis):

@@ -455,8 +455,6 @@ def _levels(change: Change) -> tuple[str, str]:
 
 
 def _lifetime(lifetime: Lifetime, is_brief: bool) -> Clauses:
-    if lifetime.estimate.value is None:
-        return _share(lifetime.left, is_brief)
     name, value = lifetime.quantity.name + lifetime.where.tail, _value(lifetime.quantity, lifetime.estimate)
     return _beside(f"{name}: {value}", lifetime.comparison, lifetime.quantity, is_brief)
 

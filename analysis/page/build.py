@@ -38,8 +38,8 @@ CALLED = {
     "group": "setting",
     "matrices": "systems",
     "members": "runs",
-    "finished": "followed to t_end",
-    "quiet": "sliding so far (not unstable)",
+    "finished": "ran to t_end",
+    "quiet": "sliding, may stick again",
 }
 #: How many of what a group has.
 COUNTS: Mapping[str, Callable[[Group], int | None]] = {

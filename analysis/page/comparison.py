@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from stickslip.analysis.answer import Answer, Question, Table
+from stickslip.analysis.answer import Answer, Question
 from stickslip.analysis.contrast import contrast
 from stickslip.analysis.ensemble import Data, Study
-from stickslip.analysis.findings.finding import Alike, Decided, Form, Lack, Quantity, Truth
+from stickslip.analysis.findings.finding import Alike, Decided, Form, Quantity, Truth
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import capital, listed, plural
 from stickslip.analysis.groups import Group
@@ -98,8 +98,8 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     every = [group for side in groups for group in side]
     laws, is_told = parts.engine_laws(every)  # one needs no name
     notes = [*_of_matches(matches, unit), *_of_lost(lost), *_of_settings(first, second, settings), *[laws] * is_told]
-    lack = few(f"whether {first.name} and {second.name} agree", every)
-    return _report(first, second, _answer(first.name, second.name, steps, tables, unit, lack), notes)
+    answer = replace(_answer(first.name, second.name, steps, every, unit), tables=tables)
+    return _report(first, second, answer, notes)
 
 
 def _study(ensemble: Ensemble, settings: AnalysisSettings, whose: str) -> Study:
@@ -132,13 +132,11 @@ def _steps(
         yield Step(Kind.DATASET, *labels, difference, where=Place.of(where), name=setting)
 
 
-def _answer(
-    first: str, second: str, steps: Sequence[Step], tables: Mapping[str, Table], unit: str, lack: Lack
-) -> Answer:
-    """Whether two ensembles agree, and every statistic of each setting; `lack` where no two can be compared."""
+def _answer(first: str, second: str, steps: Sequence[Step], groups: Sequence[Group], unit: str) -> Answer:
+    """Whether two ensembles agree, and every statistic of each setting."""
     judged = [step for step in steps if step.contrast.is_known and not step.contrast.reason]
     if not judged:
-        return Answer(findings=[Decided(Truth.UNDECIDED, lack)], tables=tables)
+        return Answer(findings=[Decided(Truth.UNDECIDED, few(f"whether {first} and {second} agree", groups))])
     by_setting = {step.name: [beside_it for beside_it in judged if beside_it.name == step.name] for step in judged}
     grouped = judged
     if len({*map(outcome, by_setting.values())}) == 1:  # no setting to tell apart
@@ -149,7 +147,6 @@ def _answer(
     return Answer(
         findings=[Decided(truth, lead), *further, *(step.level(first, unit) for step in judged)],
         n_lead=1 + len(further),
-        tables=tables,
         figures=forest(judged, f"differences of {second} from {first}"),
         method=f"Verdicts are adjusted for {len(judged)} comparisons (Holm), intervals are not.",
     )

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.finding import Lack, Level, Lifetime, Reason, levels
+from stickslip.analysis.findings.finding import Lack, Level, Lifetime, Reason, Share, levels
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models.growth import growth
 from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, level
@@ -57,7 +57,7 @@ def test_what_was_not_measured_is_not_said_to_be_unknown(rng, planted, settings)
     copies = data.members["twin_size"].notna()
     changed = data.members.assign(twin_size=None, perturbation_size=np.where(copies, 0.01, 0.0))
     parted, rate = answer(Study(Data(changed, data.series), settings)).findings
-    assert (parted.estimate.value, parted.share_left.value, rate.reason) == (None, 1.0, Reason.NOT_RUN)
+    assert (parted.estimate.value, rate.reason) == (1.0, Reason.NOT_RUN)
     assert sentence(parted) == (
         "At n = 200, exact, with constants changed by up to 1%, all 12 copies (at least 76%) are still together"
         " at t = 1000."
@@ -65,7 +65,7 @@ def test_what_was_not_measured_is_not_said_to_be_unknown(rng, planted, settings)
     settled = answer(Study(Data(changed.assign(outcome="collapsed"), data.series), settings)).findings
     assert [finding.reason for finding in settled] == [Reason.NOT_RUN, Reason.NO_REFERENCE]
     unrecorded = answer(Study(replace(data, separations={}), settings)).findings
-    assert [type(finding) for finding in unrecorded] == [Lifetime, Lack]
+    assert [type(finding) for finding in unrecorded] == [Share, Lack]
     assert unrecorded[1].reason is Reason.NOT_RECORDED
 
 
@@ -138,9 +138,9 @@ def test_pairs_that_are_a_selection_tell_nothing(rng, planted, settings):
 
 def test_when_copies_part(rng, planted, settings):
     _, parted = answer(Study(ensemble(rng, planted, 0.01), settings)).findings
-    assert (parted.estimate.value, parted.share_left.value) == (pytest.approx(410, abs=10), 0.0)
+    assert isinstance(parted, Lifetime)
+    assert parted.estimate.value == pytest.approx(410, abs=10)
     _, parted = answer(Study(ensemble(rng, planted, 0.01, t_part=2 * T_END), settings)).findings
-    assert parted.estimate.value is None
     (row,) = levels(parted)
     assert (row.quantity.name, row.basis.n) == ("share of copies that are still together at t = 1000", 12)
     assert (row.estimate.value, row.estimate.low, row.estimate.high) == pytest.approx((1.0, 0.757, 1.0), abs=1e-3)
@@ -153,7 +153,7 @@ def test_runs_that_ran_away_are_watched_until_then(rng, planted, settings):
     members.loc[away, ["outcome", "t_stop"]] = ["diverged", 300.0]
     parted = answer(Study(replace(data, table=members), settings)).findings[1]
     # the number of systems is of those that tell when copies part, all of them here, and the others are counted
-    assert parted.share_left.value == 0.0
+    assert isinstance(parted, Lifetime)
     assert parted.basis.n == 8
     assert "4 of 12 systems grew without limit before" in str(parted.where)
     apart = ensemble(rng, planted, 0.01, t_part=2 * T_END)

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, Picture, Question
 from stickslip.analysis.ensemble import Separation, Study
-from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Lifetime, Quantity, Reason
+from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Lifetime, Quantity, Reason, Share
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import listed
 from stickslip.analysis.members import RELATIVE
@@ -116,8 +116,8 @@ class Rate(NamedTuple):
 class Parting(NamedTuple):
     """When the copies with one change have parted from their base, in how many systems that is known.
 
-    `left` is the share of these whose copies are still together; in `n_grew` other systems the motion of one of the
-    two grew without limit before they parted.
+    `left` is the share of these whose copies are together at the `horizon`; in `n_grew` other systems the motion of
+    one of the two grew without limit before they parted.
     """
 
     setting: Setting
@@ -127,6 +127,7 @@ class Parting(NamedTuple):
     left: Estimate
     n_systems: int
     n_grew: int
+    horizon: str
 
 
 def answer(study: Study) -> Answer | None:
@@ -141,7 +142,7 @@ def answer(study: Study) -> Answer | None:
     leading = rates[0].setting if has_lead else max((row.setting for row in partings), key=_size, default=None)
     partings.sort(key=lambda parted: (parted.setting is not leading, parted.change.kind == START))
     of_rates: list[Finding] = [rate.finding for rate in rates] or [Lack(RATE.name, Reason.NOT_RUN, "add [twins]")]
-    of_partings: list[Finding] = [_lifetime(alike) for alike in _alike(partings)] or [
+    of_partings: list[Finding] = [_finding(alike) for alike in _alike(partings)] or [
         Lack(PARTED.name, Reason.NO_REFERENCE, "no lasting difference of two systems")
     ]
     lead, support = (of_rates, of_partings) if has_lead or not partings else (of_partings, of_rates)
@@ -202,17 +203,18 @@ def _partings(study: Study, setting: Setting) -> Iterator[Parting]:
     typical_gap = level(study, setting)
     if typical_gap is None:
         return
-    followed = follow(study, setting.comparisons, typical_gap, float(setting.key["t_end"]))
+    t_end = float(setting.key["t_end"])
+    followed, horizon = follow(study, setting.comparisons, typical_gap, t_end), study.settings.at(t_end)
     for comparison, pairs in zip(setting.comparisons, followed, strict=True):
         _, firsts = np.unique(pairs.matrix, return_index=True)  # of several draws: systems are the independent units
         has_parted = pairs.has_parted[firsts]
         times = np.where(has_parted, pairs.t[firsts], pairs.t_stop[firsts])
-        n_grew = int(np.sum(~has_parted & (times < setting.key["t_end"])))
+        n_grew = int(np.sum(~has_parted & (times < t_end)))
         if n_systems := len(times) - n_grew:
             half = median(times, has_parted, study.settings.confidence)
             n_left = n_systems - int(has_parted.sum())
             left = Estimate(n_left / n_systems, *wilson(n_left, n_systems, study.settings.confidence))
-            yield Parting(setting, comparison.change, pairs, half, left, n_systems, n_grew)
+            yield Parting(setting, comparison.change, pairs, half, left, n_systems, n_grew, horizon)
 
 
 def _alike(partings: Sequence[Parting]) -> list[list[Parting]]:
@@ -224,22 +226,23 @@ def _alike(partings: Sequence[Parting]) -> list[list[Parting]]:
     return [*groups.values()]
 
 
-def _lifetime(alike: Sequence[Parting]) -> Lifetime:
-    """The median time until copies part, of one change or of several that have the same outcome."""
+def _finding(alike: Sequence[Parting]) -> Lifetime | Share:
+    """The median time until copies part, or the share still together, of changes that have the same outcome."""
     example, sizes = alike[0], listed([shown(parted.change.size) for parted in alike], "or")
     change = {
         CONSTANTS: f"constants changed by up to {100 * example.change.size:g}%",
         START: f"starts moved by {sizes}",
         RATIOS: "other stiffness ratios",
     }[example.change.kind]
-    where, horizon = Place.of(example.setting.label), float(example.setting.key["t_end"])
-    where += Place.words(f"with {change}")
+    where = Place.of(example.setting.label) + Place.words(f"with {change}")
     if example.n_grew:
         n_all = example.n_systems + example.n_grew
         where += Place.words(f"{example.n_grew} of {n_all} systems grew without limit before")
     basis = Basis(example.n_systems)
-    ends, n = (example.half, horizon, example.left), sum(parted.n_systems for parted in alike)
-    return Lifetime(PARTED, "copies", "are still together", *ends, where, basis=basis, n=n)
+    if example.half.value is not None:
+        return Lifetime(PARTED, example.half, where, basis=basis)
+    n, predicate = sum(parted.n_systems for parted in alike), f"are still together at t = {example.horizon}"
+    return Share("together", "copies", predicate, example.left, where, basis=basis, n=n)
 
 
 # ------------------------------------------------------------------------------------------------- figures
