@@ -12,6 +12,8 @@ from stickslip.analysis.findings.finding import Lack, Level, Outcomes, Reason, S
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.page.build import build
 from stickslip.analysis.questions.runs.changes import answer
+from stickslip.analysis.stats import components
+from stickslip.analysis.stats.estimates import Estimate
 from tests.analysis.designs import Data
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -78,8 +80,23 @@ def test_the_effect_on_single_systems_is_not_that_on_their_mean(rng, planted, se
 
 def test_matrices_that_are_alike_tell_nothing(rng, planted, settings):
     _, effects = asked(ensemble(rng, planted, lambda own: own, spread=0.0), settings)
-    assert not any("sticking blocks" in one.quantity.name for one in effects)
-    assert all(one.estimate.low is not None or one.estimate.high < 1.0 for one in effects), "a limit of all is none"
+    assert all(one.estimate.high > 0.25 for one in effects if "sticking blocks" in one.quantity.name)
+
+
+@pytest.mark.parametrize(
+    ("theta", "said"),
+    [
+        (Estimate(0.2, -0.5, 1.44), None),
+        (Estimate(0.2, -0.5, 0.36), Estimate(high=0.36)),
+        (Estimate(1.3, 0.4, 2.2), Estimate(1.3, 0.4, 2.2)),
+    ],
+)
+def test_a_limit_beyond_the_effect_of_another_system_is_none(rng, planted, settings, monkeypatch, theta, said):
+    """Such an effect can be told neither from none nor from another system's."""
+    against = components.Against(theta, 1.0, 1.0, 2.0)
+    monkeypatch.setattr(components, "against_redraw", lambda *of_change: against)
+    effects = asked(ensemble(rng, planted, lambda own: own), settings)[1]
+    assert {effect.estimate for effect in effects} == ({said} if said else set())
 
 
 def test_without_replicates_there_is_no_effect_on_single_systems(rng, planted, settings):
