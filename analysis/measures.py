@@ -378,7 +378,7 @@ def _without_late_stick(group: Group) -> Values:
 
 #: Shares of runs by how they ended, by which engines and datasets are compared.
 ALL_SLIP = Share("share of runs with no late stick", title="share of runs without a late stick")
-RUN_AWAY = Share("share of runs that run away", title="share of runs whose motion grows without limit")
+RUN_AWAY = Share("share of runs that run away", title="share of runs that grow without limit")
 ENDS = (
     Measure(ALL_SLIP, "all_slip", _without_late_stick),
     Measure(RUN_AWAY, "run_away", partial(_with_fate, (DIVERGED,))),

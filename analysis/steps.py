@@ -16,6 +16,7 @@ import pandas as pd
 from stickslip.analysis.contrast import Contrast, judged
 from stickslip.analysis.findings.finding import Change, KeyChange, Lack, Level, Reason, Turn
 from stickslip.analysis.findings.place import EVERYWHERE, Place
+from stickslip.analysis.groups import Group
 from stickslip.analysis.rows import Columns, frame_by
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.pipeline.design.values import text
@@ -122,9 +123,9 @@ def judged_together(steps: Sequence[AnyStep], alpha: float) -> list[AnyStep]:
     return [replace(step, contrast=contrast) for step, contrast in zip(steps, contrasts, strict=True)]
 
 
-def few(what: str, n_units: int) -> Lack:
-    """Why something, a noun phrase, cannot be told of so many units in motion."""
-    return Lack(what, Reason.FEW_UNITS if n_units else Reason.NO_MOTION)
+def few(what: str, groups: Iterable[Group]) -> Lack:
+    """Why something, a noun phrase, cannot be told of the runs of some groups in motion."""
+    return Lack(what, Reason.FEW_UNITS if any(group.n_moving for group in groups) else Reason.NO_MOTION)
 
 
 _COLUMNS: Columns[Step] = {

@@ -279,7 +279,7 @@ class Share:
     things : str
         In the plural: "starts", "runs".
     predicate : str
-        A verb phrase in the plural: "settle into steady sliding".
+        A verb phrase in the plural: "end in steady sliding".
     n : int, optional
         How many things there are.
     """
@@ -296,26 +296,10 @@ class Share:
 
 @dataclass(frozen=True)
 class Lifetime:
-    """The median time until something ends, which the end of a run may cut off.
-
-    Attributes
-    ----------
-    quantity : Quantity
-        The median lifetime.
-    things, predicate : str
-        Which runs, and what those do whose time is cut off: "runs", "still stick and slip".
-    horizon : float
-        The time to which runs were followed.
-    share_left : float
-        The share of runs that were cut off.
-    """
+    """The median time until something ends, which the end of a run may cut off; a `Share` if it is not reached."""
 
     quantity: Quantity
-    things: str
-    predicate: str
     estimate: Estimate
-    horizon: float
-    share_left: float
     where: Place = EVERYWHERE
     comparison: Comparison | None = None
     basis: Basis | None = None
@@ -584,8 +568,8 @@ def levels(finding: Finding) -> list[Level]:
             return [
                 replace(finding, comparison=comparison, also=()) for comparison in (finding.comparison, *finding.also)
             ]
-        case Lifetime(quantity, estimate=estimate):
-            return [Level(quantity, estimate, finding.where, finding.comparison, finding.basis)]
+        case Lifetime(quantity, estimate, where, comparison, basis):
+            return [Level(quantity, estimate, where, comparison, basis)]
         case Share(key, things, predicate, estimate, where, comparison, basis):
             return [Level(_share(key, things, predicate), estimate, where, comparison, basis)]
         case Change(quantity, keys, _, after, difference, where, basis):

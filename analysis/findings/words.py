@@ -455,10 +455,6 @@ def _levels(change: Change) -> tuple[str, str]:
 
 
 def _lifetime(lifetime: Lifetime, is_brief: bool) -> Clauses:
-    if lifetime.estimate.value is None:
-        share = f"{number(lifetime.share_left, Form.SHARE)} of"
-        where = Place.key("t", in_unit(f"{lifetime.horizon:g}", lifetime.quantity.unit)) + lifetime.where
-        return (f"{share} {lifetime.things} {lifetime.predicate}{where.tail}",)
     name, value = lifetime.quantity.name + lifetime.where.tail, _value(lifetime.quantity, lifetime.estimate)
     return _beside(f"{name}: {value}", lifetime.comparison, lifetime.quantity, is_brief)
 

@@ -22,11 +22,10 @@ from stickslip.analysis.page import AS_TEXT, FINDINGS, FORMULA, PAGE
 from stickslip.analysis.page.data import data_table
 from stickslip.analysis.page.layout import Page, Panel, Section
 from stickslip.analysis.page.layout import Table as PageTable
-from stickslip.analysis.page.parts import Answered, Drawn, Part, ask, findings_json, part
+from stickslip.analysis.page.parts import Answered, Drawn, Part, ask, engine_laws, findings_json, part
 from stickslip.analysis.questions import is_own, package_questions, question, refuse_unknown
 from stickslip.analysis.rows import frame_by
 from stickslip.analysis.settings import AnalysisSettings
-from stickslip.pipeline.design.labels import engines_in_words
 from stickslip.pipeline.design.values import text
 from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Number
@@ -40,8 +39,8 @@ CALLED = {
     "group": "setting",
     "matrices": "systems",
     "members": "runs",
-    "finished": "followed to t_end",
-    "quiet": "sliding so far (not unstable)",
+    "finished": "ran to t_end",
+    "quiet": "sliding, may stick again",
 }
 #: How many of what a group has.
 COUNTS: Mapping[str, Callable[[Group], int | None]] = {
@@ -151,8 +150,7 @@ def build(
     lead, panels = _lead(leading), _panels(leading)
     title, about = _title(leading, title, about)
     groups = groups_table(study)
-    engines = {group.key["engine"] for group in study.groups}
-    laws, is_told = signs(engines_in_words(engines)), len(engines) > 1  # one alone is named in the table of settings
+    laws, is_told = engine_laws(study.groups)  # one alone is named in the table of settings
     sources = {file: digest for question in questions for file, digest in question.sources.items()}
     sections = [
         *(part.section(panels, k < len(lead), k == 0) for k, part in enumerate(leading)),

@@ -6,11 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from stickslip.analysis.answer import Answer, Question, Table
+from stickslip.analysis.answer import Answer, Question
 from stickslip.analysis.contrast import contrast
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.finding import Alike, Decided, Form, Quantity, Truth
-from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import capital, listed, plural
 from stickslip.analysis.groups import Group
@@ -24,7 +23,7 @@ from stickslip.analysis.page.layout import Table as PageTable
 from stickslip.analysis.rows import frame_of
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.steps import Kind, Setting, Step, few, judged_together, table_of
-from stickslip.pipeline.design.labels import Label, apart, engines_in_words
+from stickslip.pipeline.design.labels import Label, apart
 from stickslip.pipeline.design.values import text
 
 #: Keys that two settings must share: with another n or coupling, a statistic is not the same quantity.
@@ -96,10 +95,11 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     steps = judged_together(unjudged, 1 - settings.confidence)
     lost = [row for k, ensemble in enumerate((first, second)) for row in _lost(ensemble.name, groups[k], k, matches)]
     tables = {"changes": table_of(steps), "alone": frame_of(Alone, lost)}
-    engines = {group.key["engine"] for side in groups for group in side}
-    laws = [signs(engines_in_words(engines))] * (len(engines) > 1)  # else no name tells them apart
-    notes = [*_of_matches(matches, unit), *_of_lost(lost), *_of_settings(first, second, settings), *laws]
-    return _report(first, second, _answer(first.name, second.name, steps, tables, unit), notes)
+    every = [group for side in groups for group in side]
+    laws, is_told = parts.engine_laws(every)  # one needs no name
+    notes = [*_of_matches(matches, unit), *_of_lost(lost), *_of_settings(first, second, settings), *[laws] * is_told]
+    answer = replace(_answer(first.name, second.name, steps, every, unit), tables=tables)
+    return _report(first, second, answer, notes)
 
 
 def _study(ensemble: Ensemble, settings: AnalysisSettings, whose: str) -> Study:
@@ -132,12 +132,11 @@ def _steps(
         yield Step(Kind.DATASET, *labels, difference, where=Place.of(where), name=setting)
 
 
-def _answer(first: str, second: str, steps: Sequence[Step], tables: Mapping[str, Table], unit: str) -> Answer:
+def _answer(first: str, second: str, steps: Sequence[Step], groups: Sequence[Group], unit: str) -> Answer:
     """Whether two ensembles agree, and every statistic of each setting."""
     judged = [step for step in steps if step.contrast.is_known and not step.contrast.reason]
     if not judged:
-        lack = few(f"whether {first} and {second} agree", len(steps))
-        return Answer(findings=[Decided(Truth.UNDECIDED, lack)], tables=tables)
+        return Answer(findings=[Decided(Truth.UNDECIDED, few(f"whether {first} and {second} agree", groups))])
     by_setting = {step.name: [beside_it for beside_it in judged if beside_it.name == step.name] for step in judged}
     grouped = judged
     if len({*map(outcome, by_setting.values())}) == 1:  # no setting to tell apart
@@ -148,7 +147,6 @@ def _answer(first: str, second: str, steps: Sequence[Step], tables: Mapping[str,
     return Answer(
         findings=[Decided(truth, lead), *further, *(step.level(first, unit) for step in judged)],
         n_lead=1 + len(further),
-        tables=tables,
         figures=forest(None, judged, f"differences of {second} from {first}"),
         method=f"Verdicts are adjusted for {len(judged)} comparisons (Holm), intervals are not.",
     )

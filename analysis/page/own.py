@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 from stickslip.analysis.answer import Answer, Picture
 from stickslip.analysis.findings.alerts import Alert
-from stickslip.analysis.findings.finding import Finding, Lifetime, Regime
+from stickslip.analysis.findings.finding import Finding, Regime
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.page.build import MOST_SAID
 from stickslip.analysis.page.parts import Answered, Drawn, draw
@@ -174,7 +174,7 @@ def _valid(value: Any, hint: Any, name: str) -> Any:
     hints = get_type_hints(kind)
     members = {field: _valid(getattr(value, field), hints[field], f"{name}.{field}") for field in hints}
     for field, item in members.items():
-        if isinstance(item, Estimate) and item.value is item.high is None and kind not in (Lifetime, Regime):
+        if isinstance(item, Estimate) and item.value is item.high is None and kind is not Regime:
             raise OwnError(f"{name}.{field}: expected a value, got {getattr(value, field)}; return a Lack")
     return kind(**members)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -14,13 +14,21 @@ from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Basis, Law, Level, in_units, levels
 from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.words import sentence
+from stickslip.analysis.groups import Group
 from stickslip.analysis.page import FINDINGS
 from stickslip.analysis.page.data import data_table
 from stickslip.analysis.page.layout import MOST_FIRST, Panel, Section, Table, findings_table, is_row
 from stickslip.analysis.questions import question
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import pdf, svg
+from stickslip.pipeline.design.labels import engines_in_words
 from stickslip.pipeline.design.units import DIMENSIONLESS, Units
+
+
+def engine_laws(groups: Iterable[Group]) -> tuple[str, bool]:
+    """What the engines of some groups are, and whether there are several, which pages tell apart by name."""
+    engines = {group.key["engine"] for group in groups}
+    return signs(engines_in_words(engines)), len(engines) > 1
 
 
 @dataclass(frozen=True)

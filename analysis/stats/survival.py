@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 from scipy import special
@@ -92,6 +94,12 @@ def _scatter(t: np.ndarray, share: np.ndarray, times: np.ndarray, ended: np.ndar
     squares, fourths = moved(2), moved(4)
     concentration = np.divide(fourths, squares**2, out=np.zeros(len(t)), where=squares > 0)
     return Scatter.of(share, squares, concentration, n_of, float(len(times)))
+
+
+def median_of_known(times: np.ndarray, confidence: float, units: np.ndarray | None = None) -> Estimate:
+    """Median of times that nothing cuts off, with the interval of `median`; of two middle ones it is their mean."""
+    half = median(times, np.full(len(times), True), confidence, units)
+    return replace(half, value=float(np.median(times)))
 
 
 def median(times: np.ndarray, ended: np.ndarray, confidence: float, units: np.ndarray | None = None) -> Estimate:

@@ -415,7 +415,7 @@ class Collapse:
     law : Smoothed, optional
         None for the Coulomb law.
     cost : float
-        What a certificate costs, in products of K; 0: it is asked for whenever all blocks slip, see `loop`.
+        What a certificate costs, in products of K; 0: it is asked for whenever all blocks slip, see `course`.
     """
 
     def __init__(self, system: System, allowed: float, law: Smoothed | None = None, cost: float = 0.0) -> None:

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
-from stickslip.sim.engines import loop
-from stickslip.sim.engines.loop import Events, State
+from stickslip.sim.engines import course
+from stickslip.sim.engines.course import Events, State
 from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.engines.stacks import Model, Stack, Work, note_slice, rest_of, run_of
 from stickslip.sim.kernels.compile import inner
@@ -78,37 +78,37 @@ def frame(
     ) -> tuple[int, int]:
         model, work, goal, state = run.model, run.work, run.goal, run.state
         clock, counters, window = state.clock, state.counters, blank()
-        while loop.n_tried(counters) < n_last:
-            remaining = goal.t_end - clock[loop.TIME]
+        while course.n_tried(counters) < n_last:
+            remaining = goal.t_end - clock[course.TIME]
             if remaining <= 0.0 and not goal.is_last:
-                return loop.DONE, n_recorded  # the next piece decides which blocks stick from here on
+                return course.DONE, n_recorded  # the next piece decides which blocks stick from here on
             if n_recorded + run.events_a_step > len(events.t):
-                return loop.BUFFER_FULL, n_recorded
+                return course.BUFFER_FULL, n_recorded
             window = open_next(model, work, goal, state, window, remaining)
             before = n_recorded
             n_recorded, same = note(model, work, goal, state, events, n_recorded)
             if remaining <= 0.0:
-                at(model, work, goal, state, window, clock[loop.TIME])
-                return loop.DONE, n_recorded
-            if same and loop.is_check_due(state, state.mode, precheck, remaining):
-                if loop.may_collapse(state, run.slip, precheck):
-                    return loop.ALL_SLIP, n_recorded
+                at(model, work, goal, state, window, clock[course.TIME])
+                return course.DONE, n_recorded
+            if same and course.is_check_due(state, state.mode, precheck, remaining):
+                if course.may_collapse(state, run.slip, precheck):
+                    return course.ALL_SLIP, n_recorded
                 if n_recorded > 0:
-                    return loop.PAUSED, n_recorded
+                    return course.PAUSED, n_recorded
                 # as at the start of a slice: the result does not depend on the slicing
-                n_last, window = loop.n_tried(counters) + loop.STEPS_A_SLICE, blank()
+                n_last, window = course.n_tried(counters) + course.STEPS_A_SLICE, blank()
                 continue
-            n_rejected = counters[loop.N_REJECTED]
+            n_rejected = counters[course.N_REJECTED]
             window, n_recorded, stalls = carry(
                 model, work, goal, state, window, n_recorded > before, precheck, events, n_recorded
             )
             if stalls:
-                return loop.STALLED, n_recorded
-            if goal.instant >= 0.0 and counters[loop.N_REJECTED] == n_rejected:  # a rejected step is taken again
-                return loop.DONE, n_recorded
-            if not loop.is_within(state, goal.bound):
-                return loop.DIVERGED, n_recorded
-        return loop.PAUSED, n_recorded
+                return course.STALLED, n_recorded
+            if goal.instant >= 0.0 and counters[course.N_REJECTED] == n_rejected:  # a rejected step is taken again
+                return course.DONE, n_recorded
+            if not course.is_within(state, goal.bound):
+                return course.DIVERGED, n_recorded
+        return course.PAUSED, n_recorded
 
     @inner
     def take_all(
@@ -117,18 +117,18 @@ def frame(
         for row in range(len(slices)):
             k, counters, lengths = first + row, stack.state.counters[first + row], stack.goal.t_end
             buffers = by_reference(rest_of(events, slices, row))
-            status, n_recorded, n_last = loop.DONE, 0, loop.n_tried(counters) + loop.STEPS_A_SLICE
+            status, n_recorded, n_last = course.DONE, 0, course.n_tried(counters) + course.STEPS_A_SLICE
             while True:
                 run = by_reference(run_of(stack, k))
                 pieces, state = run.model.forcing.pieces, run.state
-                if pieces.n_ahead[0] > 0 and state.clock[loop.TIME] >= lengths[k]:
-                    lengths[k] = loop.enter(run.model.forcing, state, lengths[k])
+                if pieces.n_ahead[0] > 0 and state.clock[course.TIME] >= lengths[k]:
+                    lengths[k] = course.enter(run.model.forcing, state, lengths[k])
                     enter(run.model, run.work, state)
                     run = by_reference(run_of(stack, k))
-                n_before, n_stuck = n_recorded, counters[loop.N_ALL_STUCK]
+                n_before, n_stuck = n_recorded, counters[course.N_ALL_STUCK]
                 status, n_recorded = take(run, buffers, by_reference(precheck), n_recorded, n_last)
-                loop.count(pieces, n_recorded - n_before, counters[loop.N_ALL_STUCK] - n_stuck)
-                if status != loop.DONE or pieces.n_ahead[0] == 0:
+                course.count(pieces, n_recorded - n_before, counters[course.N_ALL_STUCK] - n_stuck)
+                if status != course.DONE or pieces.n_ahead[0] == 0:
                     break
             note_slice(slices, row, status, n_recorded, counters)
 

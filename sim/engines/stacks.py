@@ -18,10 +18,10 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from stickslip.sim.engines import certificates, loop
+from stickslip.sim.engines import certificates, course
 from stickslip.sim.engines.contract import Task
+from stickslip.sim.engines.course import Events, FirstSlice, State
 from stickslip.sim.engines.forcing import Drive, times
-from stickslip.sim.engines.loop import Events, FirstSlice, State
 from stickslip.sim.kernels.compile import code_of, inner
 from stickslip.sim.kernels.emit import IS_COMPILED
 from stickslip.sim.numerics.arguments import Floats, Ints
@@ -41,7 +41,7 @@ Slip = TypeVar("Slip", int, Ints)
 
 
 class Stack(NamedTuple, Generic[Model, Work, Goal, Slip]):
-    """Runs that one call advances, as `frame` takes them. Arrays have a place for each run; see `loop.by_run`."""
+    """Runs that one call advances, as `frame` takes them. Arrays have a place for each run; see `course.by_run`."""
 
     model: Model
     work: Work
@@ -58,7 +58,7 @@ def _type_of_run(kind: Any) -> Any:
     if not hasattr(kind, "instance_class"):
         return kind
     fields = [
-        _type_of_run(part) if loop.is_by_run(kind.instance_class, name) else part
+        _type_of_run(part) if course.is_by_run(kind.instance_class, name) else part
         for name, part in zip(kind.fields, kind.types, strict=True)
     ]
     return types.BaseTuple.from_types(fields, kind.instance_class)
@@ -72,7 +72,7 @@ def _emit_run(context: Any, builder: Any, kind: Any, value: Any, k: Any) -> Any:
         return context.get_function(operator.getitem, of_run(kind, types.intp))(builder, (value, k))
     fields = [builder.extract_value(value, place) for place in range(len(kind.fields))]
     fields = [
-        _emit_run(context, builder, part, field, k) if loop.is_by_run(kind.instance_class, name) else field
+        _emit_run(context, builder, part, field, k) if course.is_by_run(kind.instance_class, name) else field
         for name, part, field in zip(kind.fields, kind.types, fields, strict=True)
     ]
     return context.make_tuple(builder, of_run, fields)
@@ -87,7 +87,7 @@ def _run_of(typing_context: Any, stack: Any, k: Any) -> Any:
     return _type_of_run(stack)(stack, types.intp), codegen
 
 
-run_of: Any = intrinsic(_run_of) if IS_COMPILED else loop.of_run
+run_of: Any = intrinsic(_run_of) if IS_COMPILED else course.of_run
 
 
 @inner
@@ -106,7 +106,7 @@ def rest_of(events: Events, slices: Ints, k: int) -> Events:
 @inner
 def note_slice(slices: Ints, k: int, status: int, n_recorded: int, counters: Ints) -> None:
     """Note why run k of a stack ended its slice, and how many events and all-stuck intervals it recorded."""
-    slices[k, 0], slices[k, 1], slices[k, 2] = status, n_recorded, counters[loop.N_ALL_STUCK]
+    slices[k, 0], slices[k, 1], slices[k, 2] = status, n_recorded, counters[course.N_ALL_STUCK]
 
 
 def alike(tasks: Sequence[Task]) -> Iterator[tuple[bool, list[Task]]]:
@@ -157,7 +157,7 @@ class Several(ABC):
         Of |z| and |w|; beyond them a slice ends.
     initial_modes : int8, shape (runs, definitions of sticking, n)
     stalled, events_a_step, tells_touches, method
-        As of `loop.Plan`.
+        As of `course.Plan`.
     is_of_one_type : bool
         Whether all arrays have the types that they have for any plain system.
     """
@@ -209,9 +209,9 @@ class Several(ABC):
         self.advance(k, events, slices)
         return int(slices[0, 0]), int(slices[0, 1])
 
-    def plan(self, k: int) -> loop.Plan:
-        """What `loop.complete` needs to run the task k."""
-        return loop.Plan(
+    def plan(self, k: int) -> course.Plan:
+        """What `course.complete` needs to run the task k."""
+        return course.Plan(
             partial(self.slice, k),
             stalled=self.stalled,
             events_a_step=self.events_a_step,
@@ -223,11 +223,11 @@ class Several(ABC):
     def state(self, k: int) -> State:
         """The state of run k, which kernels change."""
         z, w, mode, clock, counters, (t, z_there, w_there) = self.states
-        return State(z[k], w[k], mode[k], clock[k], counters[k], loop.Buffers(t[k], z_there[k], w_there[k]))
+        return State(z[k], w[k], mode[k], clock[k], counters[k], course.Buffers(t[k], z_there[k], w_there[k]))
 
     def go_on(self, k: int, first_slice: FirstSlice | None = None) -> Run:
         """Run the task k to its end, from its start or from where its first slice ended."""
-        return loop.complete(
+        return course.complete(
             self.tasks[k], self.state(k), self.drives[k], self.collapse[k], self.plan(k), first_slice
         )
 
@@ -242,14 +242,14 @@ class Several(ABC):
         systems = [task.system for task in self.tasks]
         self.bounds[:] = certificates.escape_bounds(systems, self.states.z, self.states.w)
         several, n_definitions, n = self.initial_modes.shape
-        of_one = loop.capacity(self.events_a_step)
+        of_one = course.capacity(self.events_a_step)
         buffers = Events.blank(max(of_one, 64 * several), several)
         slices = np.zeros((several, 3), dtype=np.int64)
         self.advance(0, buffers, slices)
         # where a slice ends may not depend on the others
-        is_crowded = (slices[:, 0] == loop.BUFFER_FULL) | (slices[:, 1] + self.events_a_step > of_one)
+        is_crowded = (slices[:, 0] == course.BUFFER_FULL) | (slices[:, 1] + self.events_a_step > of_one)
         slices[is_crowded, 0] = _ANEW
-        whole = (slices[:, 0] == loop.DONE) & (n_definitions == 1)
+        whole = (slices[:, 0] == course.DONE) & (n_definitions == 1)
         ends, stuck_ends = slices[:, 1:].cumsum(axis=0).T.tolist()
         s, block, mode, touch, (stuck_s, total) = buffers.first(ends[-1], stuck_ends[-1])
         starts, stops = np.array([(task.t_start, task.t_end) for task in self.tasks]).T
@@ -260,7 +260,7 @@ class Several(ABC):
             return run, times(starts[run], stops[run], s)
 
         of_event, t = on_clock(s, slices[:, 1])
-        order = np.lexsort((block, t, of_event))  # as in `loop.complete`
+        order = np.lexsort((block, t, of_event))  # as in `course.complete`
         of_event, t, s, block = of_event[order], t[order], s[order], block[order]
         mode, touch = mode[order], touch[order]
         if self.tells_touches:
@@ -279,7 +279,7 @@ class Several(ABC):
         ]
 
     def _ended(self, k: int, first_slice: FirstSlice) -> Run:
-        """Run k, whose first slice was all of it, as `loop.complete` would give it."""
+        """Run k, whose first slice was all of it, as `course.complete` would give it."""
         task, (t, block, mode, _, all_stuck) = self.tasks[k], first_slice.events
         return Run(
             z=self.states.z[k],
@@ -288,7 +288,7 @@ class Several(ABC):
             events=EventSeries(t, block, mode, self.initial_modes[k, 0], task.t_start, task.t_end),
             outcome="finished",
             reason="",
-            stats=loop.stats_of(self.states.counters[k], len(t), self.method),
+            stats=course.stats_of(self.states.counters[k], len(t), self.method),
             samples=task.samples,
             stills=Stills(*all_stuck),
         )

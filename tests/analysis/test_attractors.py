@@ -91,8 +91,8 @@ def test_shares_and_periods(data, settings):
     assert table["n_runs"].to_dict() == {key: n for key, n in n_of.items() if key != "others"}
     assert table["period"].dropna().to_dict() == {"periodic": 6.0}
     assert said(answered) == [
-        "50% (24 to 76%) of runs settle onto a limit cycle.",
-        "30% (11 to 60%) of runs settle into steady sliding.",
+        "50% (24 to 76%) of runs end on a limit cycle.",
+        "30% (11 to 60%) of runs end in steady sliding.",
         "20% (6 to 51%) of runs stay irregular or are undecided.",
     ]
 
@@ -157,7 +157,7 @@ def test_cycles_of_one_system_are_told_apart_with_their_shares(basin, settings):
     (share,) = [
         share
         for share in answered.findings
-        if isinstance(share, Share) and share.predicate == "settle onto the cycle of period 7"
+        if isinstance(share, Share) and share.predicate == "end on the cycle of period 7"
     ]
     np.testing.assert_allclose([share.estimate.low, share.estimate.high], wilson(slow, 400), rtol=1e-9)
     assert (share.things, share.basis.n, share.basis.unit) == ("starts", 400, "start")
@@ -266,14 +266,14 @@ def swept(planted_runs):
 def test_where_along_a_key_attractors_change(swept, settings):
     answered = fates.answer(Study(swept, settings))
     assert said(answered) == [
-        "At belt_speed = 1 to 7, all 35 starts (at least 57%) settle onto a limit cycle.",
-        "At belt_speed = 9 to 12, all 20 starts (at least 57%) settle into steady sliding.",
-        "At belt_speed = 1 to 4, all 20 starts (at least 57%) settle onto a limit cycle of 1 exit per period.",
+        "At belt_speed = 1 to 7, all 35 starts (at least 57%) end on a limit cycle.",
+        "At belt_speed = 9 to 12, all 20 starts (at least 57%) end in steady sliding.",
+        "At belt_speed = 1 to 4, all 20 starts (at least 57%) end on a limit cycle of 1 exit per period.",
     ]
     regimes = [finding for finding in answered.findings if isinstance(finding, Regime)]
     assert (
         sentence(regimes[3])
-        == "At belt_speed = 5 to 7, all 15 starts (at least 57%) settle onto a limit cycle of 2 exits per period."
+        == "At belt_speed = 5 to 7, all 15 starts (at least 57%) end on a limit cycle of 2 exits per period."
     )
     for regime in regimes:
         assert regime.share.low == pytest.approx(wilson(5, 5)[0])  # of five starts
@@ -321,9 +321,9 @@ def over_two(planted_runs):
 def test_each_value_of_a_second_key_has_its_regimes_and_the_ends_lead(over_two, settings):
     answered = fates.answer(Study(over_two, settings))
     assert said(answered) == [
-        "At belt_speed = 1, static = 1.2, all 5 starts (at least 57%) settle onto a limit cycle.",
-        "At belt_speed = 2 to 5, static = 1.2, all 20 starts (at least 57%) settle into steady sliding.",
-        "At belt_speed = 1 to 3, static = 1.6, all 15 starts (at least 57%) settle onto a limit cycle.",
+        "At belt_speed = 1, static = 1.2, all 5 starts (at least 57%) end on a limit cycle.",
+        "At belt_speed = 2 to 5, static = 1.2, all 20 starts (at least 57%) end in steady sliding.",
+        "At belt_speed = 1 to 3, static = 1.6, all 15 starts (at least 57%) end on a limit cycle.",
     ]
     regimes = [finding for finding in answered.findings if isinstance(finding, Regime)]
     assert [dict(regime.where.parts)["static"] for regime in regimes] == ["1.2", "1.2", "1.6", "1.6", "1.4", "1.4"]
@@ -356,8 +356,8 @@ def test_values_that_differ_in_their_seventh_digit_are_told_apart(planted_runs, 
     ])  # fmt: skip
     answered = fates.answer(Study(data, settings))
     assert said(answered) == [
-        "At belt_speed = 3.210571 and 3.210572, all 10 starts (at least 57%) settle onto a limit cycle.",
-        "At belt_speed = 3.210573, all 5 starts (at least 57%) settle into steady sliding.",
+        "At belt_speed = 3.210571 and 3.210572, all 10 starts (at least 57%) end on a limit cycle.",
+        "At belt_speed = 3.210573, all 5 starts (at least 57%) end in steady sliding.",
     ]
     assert answered.tables["fates"]["of"].tolist() == [5, 5, 5]
 
@@ -369,7 +369,7 @@ def test_runs_that_are_undecided_are_not_among_all(planted_runs, settings):
         for v in (1, 2) for s in range(5)
     ])  # fmt: skip
     answered = fates.answer(Study(data, settings))
-    assert said(answered) == ["40% (12 to 77%) of starts settle onto a limit cycle."]
+    assert said(answered) == ["40% (12 to 77%) of starts end on a limit cycle."]
 
 
 # ---------------------------------------------------------------------------------------------- what attracts where
@@ -406,7 +406,7 @@ def along_belts(planted_runs, columns, matrices=1):
     ],
 )
 def test_where_steady_sliding_and_stick_slip_both_attract_leads(planted_runs, settings, columns, sentence):
-    """Also where no start settles into steady sliding, as at v = 3."""
+    """Also where no start ends in steady sliding, as at v = 3."""
     answered = fates.answer(Study(along_belts(planted_runs, columns), settings))
     assert said(answered)[0] == f"Steady sliding and stick-slip {sentence}"
     stability = answered.tables["stability"]

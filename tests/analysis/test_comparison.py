@@ -48,6 +48,13 @@ def test_equal_data_is_said_at_once(planted):
     assert compare(*(replace(one, digest="") for one in pair), SETTINGS).tables
 
 
+def test_where_no_run_is_in_motion_that_is_the_reason(planted):
+    pair = [ensemble(planted, name, draw=draw) for draw, name in enumerate(("one", "other"))]
+    ended = [replace(one, data=Data(one.data.members.assign(outcome="collapsed"), one.data.series)) for one in pair]
+    (said,) = compare(*ended, SETTINGS).headline
+    assert said == "Undecided: whether one and other agree: no run is in motion."
+
+
 @pytest.mark.parametrize(
     ("key", "values", "note"),
     [

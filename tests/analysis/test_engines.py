@@ -9,7 +9,7 @@ import pytest
 
 from stickslip.analysis import AnalysisSettings, Study
 from stickslip.analysis.contrast import Contrast, Statistic
-from stickslip.analysis.findings.finding import Outcomes, Verdict
+from stickslip.analysis.findings.finding import Lack, Outcomes, Reason, Verdict
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.outcomes import differences, forest
 from stickslip.analysis.questions.runs.changes import answer
@@ -134,6 +134,13 @@ def test_one_setting_is_nothing_to_compare_and_three_matrices_are_too_few(plante
     few = asked(planted, {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 2}, n_matrices=3)
     assert few.findings[0].undecided == ("sigmoid",)
     assert set(few.tables["changes"]["verdict"]) == {Verdict.UNJUDGED}
+
+
+def test_where_no_run_is_in_motion_that_is_the_reason(planted):
+    """However many systems there are."""
+    members, series = planted.ensemble({"coulomb": 0.69, "sigmoid": 0.69}, 12)
+    study = Study(Data(members.assign(outcome="collapsed"), series), SETTINGS)
+    assert answer(study).findings == [Lack("how far the engines differ", Reason.NO_MOTION)]
 
 
 def test_the_axis_holds_all_differences_and_the_interval_of_one_may_go_on_beyond():

@@ -142,10 +142,10 @@ def test_sentences():
         "Share of runs in motion falls from 50% to 20%, by 30 (20 to 40) percentage points, "
         "as kappa goes from 0.1 to 0.4. Setting: eps = 0.03."
     )
-    left = Lifetime(LATE, "runs", "still stick and slip", Estimate(), 150.0, 0.75, Place.key("n", "100"))
-    assert sentence(left) == "75.0% of runs still stick and slip at t = 150, n = 100."
-    basin = Share("sliding", "starts", "settle into steady sliding", Estimate(0.301, 0.288, 0.314))
-    assert sentence(basin) == "30.1% (28.8 to 31.4%) of starts settle into steady sliding."
+    lifetime = Lifetime(LATE, Estimate(206.0, 150.0, 290.0), Place.key("n", "100"))
+    assert sentence(lifetime) == "Median lifetime at n = 100: 206 (150 to 290)."
+    basin = Share("sliding", "starts", "end in steady sliding", Estimate(0.301, 0.288, 0.314))
+    assert sentence(basin) == "30.1% (28.8 to 31.4%) of starts end in steady sliding."
     published = Comparison("the published 30.71%", Difference(Estimate(-0.006, -0.019, 0.007), Scale.ABSOLUTE))
     assert sentence(replace(basin, comparison=published)) == (
         f"{sentence(basin)[:-1]}, consistent with the published 30.71%;"
@@ -215,9 +215,8 @@ def _findings(rng):
     level = Level(quantity, estimate, where, comparison, basis)
     yield level
     yield Change(quantity, KAPPA, Estimate(0.3), estimate, difference, where, basis)
-    yield (share := Share("sliding", "starts", "settle into steady sliding", estimate, where, comparison, basis))
-    yield Lifetime(LATE, "runs", "still stick", estimate, 100.0, 0.2, where, comparison, basis)
-    yield Lifetime(LATE, "runs", "still stick", Estimate(), 100.0, 0.7, where, comparison, basis)
+    yield (share := Share("sliding", "starts", "end in steady sliding", estimate, where, comparison, basis))
+    yield Lifetime(LATE, estimate, where, comparison, basis)
     yield Law("sizes", "fall off exponentially", level, _pick(rng, Fit), level, scope=level, things="episodes")
     yield Parts(level, (level, level), estimate)
     yield Share("pairs", "exits", "trigger another", Estimate(high=value), where, basis=basis)

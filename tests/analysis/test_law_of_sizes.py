@@ -161,7 +161,7 @@ def test_runs_that_ended_are_an_alert(planted, settings):
     study = Study(Data(pd.concat([members, pd.DataFrame([ended])]), more), settings)
     (alert,) = cascades.answer(study).alerts
     assert alert.code is Code.SETTLED
-    assert str(alert).startswith("1 of 9 runs settled")
+    assert str(alert).startswith("1 of 9 runs ended in steady sliding")
 
 
 def test_settings_beside_the_lead_are_levels_with_their_setting(planted, rng):

@@ -261,9 +261,10 @@ def test_numbers_of_numpy_become_plain():
     difference = Difference(Estimate(0.1, 0.05, 0.2), is_same=np.False_, family=Family(3, 0.01))
     level = Level(SIZE, Estimate(3.0), comparison=Comparison("it", difference))
     assert own(Answer(findings=[level])).answer.findings == (level,)
-    assert (
-        own(Answer(findings=[Lifetime(SIZE, "runs", "last", Estimate(), 9.0, 0.7)])).answer.findings[0].horizon == 9.0
-    )
+    lifetime = Lifetime(SIZE, Estimate(9.0, 7.0))
+    assert own(Answer(findings=[lifetime])).answer.findings == (lifetime,)
+    with pytest.raises(OwnError, match="estimate: expected a value"):
+        own(Answer(findings=[replace(lifetime, estimate=Estimate())]))
 
 
 def leaves():

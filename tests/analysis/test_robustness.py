@@ -12,6 +12,8 @@ from stickslip.analysis.findings.finding import Lack, Level, Outcomes, Reason, S
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.page.build import build
 from stickslip.analysis.questions.runs.changes import answer
+from stickslip.analysis.stats import components
+from stickslip.analysis.stats.estimates import Estimate
 from tests.analysis.designs import Data
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -81,6 +83,22 @@ def test_matrices_that_are_alike_tell_nothing(rng, planted, settings):
     assert all(one.estimate.high > 0.25 for one in effects if "sticking blocks" in one.quantity.name)
 
 
+@pytest.mark.parametrize(
+    ("theta", "said"),
+    [
+        (Estimate(0.2, -0.5, 1.44), None),
+        (Estimate(0.2, -0.5, 0.36), Estimate(high=0.36)),
+        (Estimate(1.3, 0.4, 2.2), Estimate(1.3, 0.4, 2.2)),
+    ],
+)
+def test_a_limit_beyond_the_effect_of_another_system_is_none(rng, planted, settings, monkeypatch, theta, said):
+    """Such an effect can be told neither from none nor from another system's."""
+    against = components.Against(theta, 1.0, 1.0, 2.0)
+    monkeypatch.setattr(components, "against_redraw", lambda *of_change: against)
+    effects = asked(ensemble(rng, planted, lambda own: own), settings)[1]
+    assert {effect.estimate for effect in effects} == ({said} if said else set())
+
+
 def test_without_replicates_there_is_no_effect_on_single_systems(rng, planted, settings):
     found, effects = asked(ensemble(rng, planted, lambda own: own, twins=()), settings)
     assert not effects
@@ -97,7 +115,17 @@ def test_runs_that_do_not_reach_the_end_leave_their_matrix_out(rng, planted, set
     members.loc[members["member_id"].isin(["m3", "m5-0.01", "m7-0.1-scale"]), "outcome"] = "diverged"
     found, effects = asked(replace(data, table=members), settings)
     assert effects[0].basis.n == MATRICES - 3
-    assert found.findings[0].largest.basis.n == MATRICES - 3
+    assert found.findings[0].largest.basis.n == MATRICES - 2, "another start of the system is no part of it"
+
+
+def test_the_unchanged_systems_are_those_of_the_rest_of_the_page(rng, planted, settings):
+    """Copies from other starts, 5 higher here, tell how far starts scatter, and are no part of the mean."""
+    data = ensemble(rng, planted, lambda own: own)
+    raised = {name: (t, n + 5 * ("-0.0" in name)) for name, (t, n) in data.series.items()}
+    study = Study(replace(data, series=raised), settings)
+    changed = answer(study).tables["changes"].set_index("quantity").loc["mean n_stick"]
+    (unchanged,) = [group for group in study.groups if len(group) == MATRICES]
+    assert changed["first"] == pytest.approx(unchanged.mean(settings.confidence).value)
 
 
 def test_too_few_matrices_and_no_motion_have_their_reasons(rng, planted, settings):

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.finding import Lack, Level, Lifetime, Reason
+from stickslip.analysis.findings.finding import Lack, Level, Lifetime, Reason, Share, levels
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models.growth import growth
 from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, level
@@ -57,14 +57,15 @@ def test_what_was_not_measured_is_not_said_to_be_unknown(rng, planted, settings)
     copies = data.members["twin_size"].notna()
     changed = data.members.assign(twin_size=None, perturbation_size=np.where(copies, 0.01, 0.0))
     parted, rate = answer(Study(Data(changed, data.series), settings)).findings
-    assert (parted.estimate.value, parted.share_left, rate.reason) == (None, 1.0, Reason.NOT_RUN)
+    assert (parted.estimate.value, rate.reason) == (1.0, Reason.NOT_RUN)
     assert sentence(parted) == (
-        "100% of copies are still together at t = 1000, n = 200, exact, with constants changed by up to 1%."
+        "At n = 200, exact, with constants changed by up to 1%, all 12 copies (at least 76%) are still together"
+        " at t = 1000."
     )
     settled = answer(Study(Data(changed.assign(outcome="collapsed"), data.series), settings)).findings
     assert [finding.reason for finding in settled] == [Reason.NOT_RUN, Reason.NO_REFERENCE]
     unrecorded = answer(Study(replace(data, separations={}), settings)).findings
-    assert [type(finding) for finding in unrecorded] == [Lifetime, Lack]
+    assert [type(finding) for finding in unrecorded] == [Share, Lack]
     assert unrecorded[1].reason is Reason.NOT_RECORDED
 
 
@@ -137,9 +138,12 @@ def test_pairs_that_are_a_selection_tell_nothing(rng, planted, settings):
 
 def test_when_copies_part(rng, planted, settings):
     _, parted = answer(Study(ensemble(rng, planted, 0.01), settings)).findings
-    assert (parted.estimate.value, parted.share_left) == (pytest.approx(410, abs=10), 0.0)
+    assert isinstance(parted, Lifetime)
+    assert parted.estimate.value == pytest.approx(410, abs=10)
     _, parted = answer(Study(ensemble(rng, planted, 0.01, t_part=2 * T_END), settings)).findings
-    assert (parted.estimate.value, parted.share_left) == (None, 1.0)
+    (row,) = levels(parted)
+    assert (row.quantity.name, row.basis.n) == ("share of copies that are still together at t = 1000", 12)
+    assert (row.estimate.value, row.estimate.low, row.estimate.high) == pytest.approx((1.0, 0.757, 1.0), abs=1e-3)
 
 
 def test_runs_that_ran_away_are_watched_until_then(rng, planted, settings):
@@ -149,9 +153,16 @@ def test_runs_that_ran_away_are_watched_until_then(rng, planted, settings):
     members.loc[away, ["outcome", "t_stop"]] = ["diverged", 300.0]
     parted = answer(Study(replace(data, table=members), settings)).findings[1]
     # the number of systems is of those that tell when copies part, all of them here, and the others are counted
-    assert parted.share_left == 0.0
+    assert isinstance(parted, Lifetime)
     assert parted.basis.n == 8
     assert "4 of 12 systems grew without limit before" in str(parted.where)
+    apart = ensemble(rng, planted, 0.01, t_part=2 * T_END)
+    members = apart.members
+    members.loc[away, ["outcome", "t_stop"]] = ["diverged", 300.0]
+    parted = answer(Study(replace(apart, table=members), settings)).findings[1]
+    assert sentence(parted).startswith("All 8 copies (at least 68%) are still together at t = 1000.")
+    members.loc[members["twin_size"].notna(), ["outcome", "t_stop"]] = ["diverged", 300.0]
+    assert answer(Study(replace(apart, table=members), settings)).findings[-1].reason is Reason.NO_REFERENCE
 
 
 def test_nothing_to_compare(planted, settings):

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from stickslip.sim import System, simulate
-from stickslip.sim.engines import loop
+from stickslip.sim.engines import course
 from stickslip.sim.engines.coulomb import integrate
 from tests import independent
 
@@ -82,7 +82,7 @@ def made(monkeypatch):
 def test_a_stick_six_times_as_deep_as_the_error_counts_and_one_of_a_third_does_not(stiffness, tol, made):
     """The least that counts is a few times the error's estimate, not some ten times."""
     planted(0.0, stiffness, tol, t_end=1.5)  # until just before w comes to v, at omega t = pi / 2
-    error = made[-1].states.clock[0, loop.ERROR] / V
+    error = made[-1].states.clock[0, course.ERROR] / V
     for times, n_events in ((6.0, 2), (1.0 / 3.0, 0)):
         run, _ = planted(times * error, stiffness, tol, t_end=2.0)
         assert len(run.events) == n_events
@@ -96,14 +96,14 @@ def test_the_error_that_tells_touches_bounds_the_error_of_a_run(tol, made):
         system = System(stiffness, 0.0, MU, v)
         exact, run = (simulate(system, z, w, 25.0, tol=each, stop_early=False) for each in (3e-14, tol))
         if run.events.mode.tolist() == exact.events.mode.tolist():
-            assert np.abs(run.w - exact.w).max() <= made[-1].states.clock[0, loop.ERROR]
+            assert np.abs(run.w - exact.w).max() <= made[-1].states.clock[0, course.ERROR]
 
 
 def test_the_error_that_tells_touches_is_a_small_share_of_the_tolerance_where_damping_fades_it(made):
     """It was 0.03 of it at most."""
     for damping, tol, t_end in itertools.product((0.5, 1.0, 4.0), (1e-4, 1e-6, 1e-9), (1.0, 3.0, 10.0)):
         simulate(System([[1.0]], damping, 0.0, 0.0), 1.0, 0.0, t_end, tol=tol, stop_early=False)
-        assert 0.0 < made[-1].states.clock[0, loop.ERROR] < 0.1 * tol
+        assert 0.0 < made[-1].states.clock[0, course.ERROR] < 0.1 * tol
 
 
 def undamped(seed):

@@ -32,7 +32,16 @@ from stickslip.analysis.models.attractors import (
     plane,
 )
 from stickslip.analysis.models.fates import LULL, QUIET, SUSTAINED, UNMOVED
-from stickslip.analysis.questions.runs.settled import OUTCOMES, Grid, Portion, Runs, Setting, portions, told_apart
+from stickslip.analysis.questions.runs.settled import (
+    OUTCOMES,
+    PREDICATES,
+    Grid,
+    Portion,
+    Runs,
+    Setting,
+    portions,
+    told_apart,
+)
 from stickslip.analysis.series.runs import by_number
 from stickslip.analysis.stats.survival import Curve
 from stickslip.analysis.style import PANEL, hues, panel
@@ -64,9 +73,9 @@ LOOKS = {
     TORUS: Look("#009E73", "h", "++", "torus"),
     IRREGULAR: Look("#6A3D9A", "X", "xxx", "irregular"),
     ESCAPING: Look("black", "*", "", "growth without limit"),
-    QUIET: Look("#56B4E9", "D", "...", "sliding so far"),
+    QUIET: Look("#56B4E9", "D", "...", "sliding, may stick again"),
     SUSTAINED: Look("#E69F00", "o", "", "sticking and slipping"),
-    LULL: Look("#CC79A7", "v", "xxx", "sliding so far, unstable"),
+    LULL: Look("#CC79A7", "v", "xxx", "sliding, will stick again"),
     UNMOVED: Look("#D9D9D9", "X", "///", "stuck"),
     UNDECIDED: Look("#D9D9D9", ".", "///", "undecided"),
 }
@@ -297,7 +306,7 @@ def _survival(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> Pictur
     level = f", with {100 * study.settings.confidence:g}% intervals where some end and some do not"
     level *= any(map(_has_band, named_curves.values()))
     kinds = {kind for setting in chosen for kind in setting.runs.said}
-    ends = [words for kind, words in ((SLIDING, "settle"), (ESCAPING, "grow without limit")) if kind in kinds]
+    ends = [PREDICATES[kind] for kind in (SLIDING, ESCAPING) if kind in kinds]
     see = f"Curves fall as runs {listed(ends, 'or')}. " if ends else ""
     count = f" {len(chosen)} of {len(settings)} settings are drawn." * (len(chosen) < len(settings))
     caption = f"{see}Share of runs still going{level}.{count}"

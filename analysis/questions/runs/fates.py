@@ -1,8 +1,8 @@
-"""How runs end, how long stick-slip lasts, and what runs settle on.
+"""How runs end, and how long stick-slip lasts.
 
 Survival is by Kaplan and Meier. Certified runs, and those whose motion grew without limit, ended: see
-`models.fates.ends_at`. Runs that are sliding without a certificate count as ended at their last events, and the
-upper ends of intervals take them as not ended. All others are censored at t_end.
+`models.fates.ends_at`. Runs that slide without a certificate count as ended at their last events, and the
+upper ends of intervals take them as going on. All others are censored at t_end.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ from stickslip.analysis.questions.runs.settled import (
 from stickslip.analysis.rows import frame_of
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate
-from stickslip.analysis.stats.survival import Curve, median
+from stickslip.analysis.stats.survival import Curve, median_of_known
 from stickslip.pipeline.design.labels import engine_name
 
 MOST_LINES = 12  # along a key, and settings with shares of their own
@@ -71,16 +71,17 @@ LIFETIME = Quantity("lifetime", "median lifetime", more="longer", less="shorter"
 TO_GROWTH = replace(LIFETIME, name="median time to unbounded growth")
 TO_SLIDING = replace(LIFETIME, name="median time to sliding")
 DELAY = Quantity("last_event", "median delay of the last event", dimension="time")
-MEAN = Quantity("mean", "mean number of sticking blocks in runs not ended")
+MEAN = Quantity("mean", "mean number of sticking blocks in runs still going")
+PROVED = "proved", "sliding runs", "are proved not to stick again"
 PERIOD = Quantity("period", "period of the cycle", dimension="time")
 METHOD = (
-    "A run ends at its last event, if it is certified that no block sticks again, or when its motion has grown"
-    " without limit; survival and medians are Kaplan-Meier estimates. Runs that are sliding so far, if not"
-    " unstable, are taken to have ended too; the upper ends of intervals take them to go on."
+    "A run is over at its last event, if it is proved that no block sticks again, or when its motion has grown"
+    " without limit; survival and medians are Kaplan-Meier estimates. Sliding runs that may stick again count as"
+    " over; the upper ends of intervals count them as still going."
 )
 METHOD_OF_ATTRACTORS = (
     "Each run is followed on from its end: a cycle repeats its events and comes back to its state, steady sliding and"
-    " rest are certified, and small deviations grow at a steady rate in irregular motion. Shares have Wilson"
+    " rest are proved, and small deviations grow at a steady rate in irregular motion. Shares have Wilson"
     " intervals with the effective number of independent runs."
 )
 
@@ -211,7 +212,8 @@ def _findings(study: Study, grid: Grid, ends: Sequence[Ends]) -> tuple[list[Find
         leading += [_lifetime(study, row) for row in lifetimes if row is lead]
         secondary += [_lifetime(study, row) for row in lifetimes if row is not lead]
     with_ends = [row.setting for row in ends]
-    return leading, [*secondary, *_delays(study), *_stability(study, with_ends), *_means(study, with_ends)]
+    secondary += [*_delays(study), *_proofs(study, with_ends)]
+    return leading, [*secondary, *_stability(study, with_ends), *_means(study, with_ends)]
 
 
 def _outcomes(
@@ -267,7 +269,7 @@ def _shares(study: Study, settings: Sequence[Setting], where: Place, most: int |
         comparison = _beside(row, published.get(row.outcome))
         if row.outcome == PERIODIC and n_cycles > 1:
             cycle = "other cycles" if row.cycle is None else f"the cycle of period {row.period:.4g}"
-            predicate, comparison = f"settle onto {cycle}", None
+            predicate, comparison = f"end on {cycle}", None
         findings.append(Share(row.outcome, name, predicate, row.share, where, comparison, basis, row.of))
         if row.cycle and n_cycles == 1 and row.period is not None and row.n_runs > 1:
             among = Basis(row.n_runs, name[:-1])
@@ -286,18 +288,8 @@ def _beside(row: Portion, published: float | None) -> Comparison | None:
 
 
 def _lifetime(study: Study, row: Ends) -> Lifetime:
-    setting, share_left = row.setting, float(row.curve[1][-1])
-    basis = Basis(setting.n_units, unit(study, [setting]))
-    return Lifetime(
-        row.quantity,
-        "runs",
-        "still stick and slip",
-        row.lifetime,
-        setting.t_end,
-        share_left,
-        setting.where,
-        basis=basis,
-    )
+    basis = Basis(row.setting.n_units, unit(study, [row.setting]))
+    return Lifetime(row.quantity, row.lifetime, row.setting.where, basis=basis)
 
 
 def _delays(study: Study) -> Iterator[Level]:
@@ -314,8 +306,7 @@ def _delays(study: Study) -> Iterator[Level]:
         for method in methods:
             delays = (_last_events(method) - reference_times).dropna().to_numpy()
             if len(delays):
-                interval = median(delays, np.full(len(delays), True), study.settings.confidence)
-                delay = replace(interval, value=float(np.median(delays)))
+                delay = median_of_known(delays, study.settings.confidence)
                 beside = Comparison(engine_name(reference.key["engine"]))
                 yield Level(DELAY, delay, where[method.label], beside, Basis(len(delays), noun(study.unit)))
 
@@ -337,17 +328,32 @@ def _stability(study: Study, settings: Sequence[Setting]) -> Iterator[Share]:
             ("stable", ~np.isnan(rates) & ~unstable, SLIDING),
             ("unstable", unstable, ESCAPING),
         ):
-            subset = runs.at(chosen)
-            if len(subset.rows) and runs.n_of(kind):
-                nothing = np.zeros(len(subset.rows))
-                share = share_of(subset.kinds == kind, nothing, subset.units, study.settings.confidence)
-                basis = Basis(len(np.unique(subset.units)), noun(study.unit))
+            if chosen.any() and runs.n_of(kind):
                 name, key = f"runs with a linearly {state} all-slip state", f"{state}_{kind}"
-                yield Share(key, name, PREDICATES[kind], share, setting.where, None, basis, len(subset.rows))
+                yield _share_among(study, setting, chosen, kind, (key, name, PREDICATES[kind]))
+
+
+def _proofs(study: Study, settings: Sequence[Setting]) -> Iterator[Share]:
+    """How many of the sliding runs are proved to go on so, which no setting says where all are.
+
+    Those without a proof are no random part of all, and engines differ in how often one succeeds.
+    """
+    if not all(setting.is_certified for setting in settings):
+        for setting in settings:
+            if (slides := setting.runs.said == SLIDING).any():
+                yield _share_among(study, setting, slides, SLIDING, PROVED)
+
+
+def _share_among(study: Study, setting: Setting, chosen: np.ndarray, kind: str, names: tuple[str, str, str]) -> Share:
+    """The share with a kind of outcome among some runs of a setting; its names are key, things and predicate."""
+    runs = setting.runs.at(chosen)
+    share = share_of(runs.kinds == kind, np.zeros(len(runs.rows)), runs.units, study.settings.confidence)
+    basis = Basis(len(np.unique(runs.units)), noun(study.unit))
+    return Share(*names, share, setting.where, None, basis, len(runs.rows))
 
 
 def _means(study: Study, settings: Sequence[Setting]) -> list[Level]:
-    """Mean n_stick of the runs not ended, which include those whose sliding so far is unstable."""
+    """Mean n_stick of the runs still going, which include those that slide but will stick again."""
     groups = [group for setting in settings for group in setting.groups if study.unit != "start"]
     groups.sort(key=lambda group: -int(group.key["n"]))
     means, where = [(group, group.mean(study.settings.confidence)) for group in groups], places(study)
@@ -359,9 +365,9 @@ def _means(study: Study, settings: Sequence[Setting]) -> list[Level]:
 
 
 def _lulls(group: Group) -> Place:
-    """How many of the runs of a group not ended are sliding so far, but unstable, where no block sticks."""
+    """How many of the runs of a group still going slide at their end but will stick again."""
     n_lull = int(np.sum(group.fates == LULL))
-    return Place.words(f"{n_lull} of {group.n_moving} runs sliding so far, but unstable" * bool(n_lull))
+    return Place.words(f"{n_lull} of {group.n_moving} runs slide but will stick again" * bool(n_lull))
 
 
 def _alerts(study: Study, grid: Grid, ends: Sequence[Ends], short: Sequence[Group]) -> list[Alert]:
@@ -428,7 +434,7 @@ def _leads(study: Study) -> bool:
 
 QUESTION = Question(
     answer,
-    title="How do runs end, and what do they settle on?",
+    title="How do runs end?",
     share=0.01,
     rank=2,
     leads=_leads,

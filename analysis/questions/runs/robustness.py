@@ -6,7 +6,7 @@ Replicates of a system are its base and the copies that differ in the start only
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +26,7 @@ from stickslip.analysis.stats import components, enough
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums, non_negative
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.stats.shares import share_over_matrices
-from stickslip.analysis.stats.survival import median
+from stickslip.analysis.stats.survival import median_of_known
 from stickslip.analysis.steps import Kind, Step, few, judged_together, table_of
 from stickslip.analysis.steps import Setting as Named
 from stickslip.pipeline.design import design
@@ -73,14 +73,14 @@ def answer(study: Study) -> Answer | None:
         (further if is_empty else lead).append(finding)
     in_figure = [step for step in steps if step.contrast.is_known]
     figures = forest(study, in_figure, "differences from the unchanged systems", "robustness")
-    lack = few("the effect of a changed system", len(all_copies[0].sums))
+    lack = few("the effect of a changed system", study.groups)
     method = _METHOD + _METHOD_OF_EFFECTS * has_effects
     findings = [*lead, *further] if lead else [lack]
     return Answer(findings, len(lead), method=method, tables={"changes": table_of(steps)}, figures=figures)
 
 
 class _Set(NamedTuple):
-    """The runs of a system that count: its base with replicates, and changed copies; by their rows."""
+    """The runs of a system that count: its base, with replicates if asked, and changed copies; by their rows."""
 
     unchanged: list[int]
     changed: list[int]
@@ -114,11 +114,11 @@ class _Copies:
         """Whether a change has an interval: enough systems stay in motion with it and without."""
         return any(len(self.complete(change)) >= enough.LEAST_MATRICES for change in self.changes)
 
-    def complete(self, change: Comparison) -> list[_Set]:
-        """Those of each system whose runs all reached t_end in motion."""
+    def complete(self, change: Comparison, starts: Sequence[Comparison] = ()) -> list[_Set]:
+        """Those of each system whose runs, also from other starts, are all in motion at t_end."""
         sets = []
         for unit, base in self.setting.bases.items():
-            replicates = [row for comparison in self.replicates for row in comparison.of(unit)]
+            replicates = [row for start in starts for row in start.of(unit)]
             rows = _Set([base, *replicates], change.of(unit))
             if all(row in self.sums for row in (*rows.unchanged, *rows.changed)):
                 sets.append(rows)
@@ -180,7 +180,10 @@ def _named(change: Change) -> Named:
 
 
 def _effects(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[tuple[str, Level]]:
-    """The mean square effect of each change on each quantity, as a share of that of another system."""
+    """The mean square effect of each change on each quantity, as a share of that of another system.
+
+    An effect that can be told neither from none nor from another system's is not said.
+    """
     bases = [base for base in copies.setting.bases.values() if base in copies.sums]
     if not (bases and copies.replicates):
         return
@@ -190,12 +193,12 @@ def _effects(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator
         return
     for quantity in PRIMARY:
         for comparison in copies.changes:
-            sets = copies.complete(comparison)
+            sets = copies.complete(comparison, copies.replicates)
             if len(sets) < enough.LEAST_MATRICES:
                 continue
             unchanged, changed = (copies.values(quantity, [rows[side] for rows in sets]) for side in (0, 1))
             effect = non_negative(components.against_redraw(unchanged, changed, confidence).theta)
-            if effect.high is not None:
+            if effect.low is not None or (effect.high or np.inf) < 1.0:
                 name = f"effect of {comparison.change} on the {QUANTITIES[quantity].title} of one system"
                 theta = Quantity("theta", f"{name}, as a share of another system's", Form.SHARE)
                 yield quantity, Level(theta, effect, where, None, Basis(len(sets), unit))
@@ -249,6 +252,4 @@ def _ends(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[Fi
             )
         if shifts:
             units, times = np.repeat([*shifts], [*map(len, shifts.values())]), np.concatenate([*shifts.values()])
-            shift = median(times, np.full(len(times), True), confidence, units)
-            shift = replace(shift, value=float(np.median(times)))  # the mean of the two middle ones
-            yield Level(SHIFT, shift, place, None, Basis(len(shifts), unit))
+            yield Level(SHIFT, median_of_known(times, confidence, units), place, None, Basis(len(shifts), unit))

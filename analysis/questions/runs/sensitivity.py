@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, Picture, Question
 from stickslip.analysis.ensemble import Separation, Study
-from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Lifetime, Quantity, Reason
+from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Lifetime, Quantity, Reason, Share
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import listed
 from stickslip.analysis.members import RELATIVE
@@ -20,6 +20,7 @@ from stickslip.analysis.models.growth import Growth, growth
 from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, Comparison, Followed, Setting, follow, level, settings
 from stickslip.analysis.series import parting
 from stickslip.analysis.stats.estimates import Estimate
+from stickslip.analysis.stats.shares import wilson
 from stickslip.analysis.stats.survival import median
 from stickslip.analysis.style import hues, panel
 from stickslip.pipeline.design.design import Change
@@ -42,7 +43,7 @@ def _method(study: Study) -> str:
         f" while all pairs lie between a floor ({FLOOR:g}, or {TOLERANCES:g} rtol under a smoothed law) and"
         f" {CEILING:g}; none is given where more than a tenth of the pairs leave that range. Copies have parted when"
         f" |difference of n_stick|, averaged over {parting.SPAN * settings.time:g} {unit}, first reaches"
-        f" {100 * parting.SHARE:g}% of what two systems show after t_burn."
+        f" {100 * parting.SHARE:g}% of what two systems show after t_burn while both are followed."
     )
 
 
@@ -113,17 +114,20 @@ class Rate(NamedTuple):
 
 
 class Parting(NamedTuple):
-    """When the copies with one change have parted from their base, in how many of the systems known to the end.
+    """When the copies with one change have parted from their base, in how many systems that is known.
 
-    In `n_grew` others the motion of one of the two grew without limit before they parted.
+    `left` is the share of these whose copies are together at the `horizon`; in `n_grew` other systems the motion of
+    one of the two grew without limit before they parted.
     """
 
     setting: Setting
     change: Change
     pairs: Followed
     half: Estimate
+    left: Estimate
     n_systems: int
     n_grew: int
+    horizon: str
 
 
 def answer(study: Study) -> Answer | None:
@@ -138,7 +142,7 @@ def answer(study: Study) -> Answer | None:
     leading = rates[0].setting if has_lead else max((row.setting for row in partings), key=_size, default=None)
     partings.sort(key=lambda parted: (parted.setting is not leading, parted.change.kind == START))
     of_rates: list[Finding] = [rate.finding for rate in rates] or [Lack(RATE.name, Reason.NOT_RUN, "add [twins]")]
-    of_partings: list[Finding] = [_lifetime(alike) for alike in _alike(partings)] or [
+    of_partings: list[Finding] = [_finding(alike) for alike in _alike(partings)] or [
         Lack(PARTED.name, Reason.NO_REFERENCE, "no lasting difference of two systems")
     ]
     lead, support = (of_rates, of_partings) if has_lead or not partings else (of_partings, of_rates)
@@ -199,16 +203,18 @@ def _partings(study: Study, setting: Setting) -> Iterator[Parting]:
     typical_gap = level(study, setting)
     if typical_gap is None:
         return
-    followed = follow(study, setting.comparisons, typical_gap, float(setting.key["t_end"]))
+    t_end = float(setting.key["t_end"])
+    followed, horizon = follow(study, setting.comparisons, typical_gap, t_end), study.settings.at(t_end)
     for comparison, pairs in zip(setting.comparisons, followed, strict=True):
-        if not len(pairs):
-            continue
         _, firsts = np.unique(pairs.matrix, return_index=True)  # of several draws: systems are the independent units
         has_parted = pairs.has_parted[firsts]
         times = np.where(has_parted, pairs.t[firsts], pairs.t_stop[firsts])
-        half = median(times, has_parted, study.settings.confidence)
-        n_grew = int(np.sum(~has_parted & (times < setting.key["t_end"])))
-        yield Parting(setting, comparison.change, pairs, half, len(times) - n_grew, n_grew)
+        n_grew = int(np.sum(~has_parted & (times < t_end)))
+        if n_systems := len(times) - n_grew:
+            half = median(times, has_parted, study.settings.confidence)
+            n_left = n_systems - int(has_parted.sum())
+            left = Estimate(n_left / n_systems, *wilson(n_left, n_systems, study.settings.confidence))
+            yield Parting(setting, comparison.change, pairs, half, left, n_systems, n_grew, horizon)
 
 
 def _alike(partings: Sequence[Parting]) -> list[list[Parting]]:
@@ -220,24 +226,23 @@ def _alike(partings: Sequence[Parting]) -> list[list[Parting]]:
     return [*groups.values()]
 
 
-def _lifetime(alike: Sequence[Parting]) -> Lifetime:
-    """The median time until copies part, of one change or of several that have the same outcome."""
+def _finding(alike: Sequence[Parting]) -> Lifetime | Share:
+    """The median time until copies part, or the share still together, of changes that have the same outcome."""
     example, sizes = alike[0], listed([shown(parted.change.size) for parted in alike], "or")
     change = {
         CONSTANTS: f"constants changed by up to {100 * example.change.size:g}%",
         START: f"starts moved by {sizes}",
         RATIOS: "other stiffness ratios",
     }[example.change.kind]
-    where, horizon = Place.of(example.setting.label), float(example.setting.key["t_end"])
-    where += Place.words(f"with {change}")
-    n_parted = sum(int(parted.pairs.has_parted.sum()) for parted in alike)
-    n_left = sum(int(np.sum(~parted.pairs.has_parted & (parted.pairs.t_stop >= horizon))) for parted in alike)
-    share_left = n_left / max(n_left + n_parted, 1)
+    where = Place.of(example.setting.label) + Place.words(f"with {change}")
     if example.n_grew:
         n_all = example.n_systems + example.n_grew
         where += Place.words(f"{example.n_grew} of {n_all} systems grew without limit before")
     basis = Basis(example.n_systems)
-    return Lifetime(PARTED, "copies", "are still together", example.half, horizon, share_left, where, basis=basis)
+    if example.half.value is not None:
+        return Lifetime(PARTED, example.half, where, basis=basis)
+    n, predicate = sum(parted.n_systems for parted in alike), f"are still together at t = {example.horizon}"
+    return Share("together", "copies", predicate, example.left, where, basis=basis, n=n)
 
 
 # ------------------------------------------------------------------------------------------------- figures

@@ -58,14 +58,14 @@ _START = ("z", "w")
 #: What runs do, by kind of outcome: verb phrases in the plural, with {} for when, where it may yet change.
 PREDICATES = {
     REST: "come to rest",
-    SLIDING: "settle into steady sliding",
-    PERIODIC: "settle onto a limit cycle",
-    TORUS: "settle onto a torus",
+    SLIDING: "end in steady sliding",
+    PERIODIC: "end on a limit cycle",
+    TORUS: "end on a torus",
     IRREGULAR: "stay irregular",
     ESCAPING: "grow without limit",
-    QUIET: "are sliding so far{}",
+    QUIET: "slide{} but may stick again",
     SUSTAINED: "still stick and slip{}",
-    LULL: "are sliding so far{}, but unstable",
+    LULL: "slide{} but will stick again",
     UNMOVED: "are stuck{}",
     UNDECIDED: "are undecided",
 }
@@ -93,7 +93,7 @@ class Runs(NamedTuple):
 
     @property
     def said(self) -> np.ndarray:
-        """Kinds, where sliding is one with a certificate and without."""
+        """Kinds, where sliding is one with a proof and without."""
         return np.where(self.kinds == QUIET, SLIDING, self.kinds)
 
     def at(self, chosen: np.ndarray) -> Runs:
@@ -139,7 +139,7 @@ class Setting:
 
     @property
     def is_certified(self) -> bool:
-        """Whether each run that slides is certified."""
+        """Whether each run that slides is proved to go on so."""
         return not self.runs.n_of(QUIET)
 
     @property
@@ -152,7 +152,7 @@ class Setting:
 
     @cached_property
     def kinds(self) -> tuple[Outcome, ...]:
-        """What its runs settle on or do, each once."""
+        """What its runs do in the end, each once."""
         return tuple(Outcome(kind) for kind in OUTCOMES if kind != UNDECIDED and (self.runs.said == kind).any())
 
     @cached_property
@@ -294,7 +294,7 @@ def predicates(study: Study, outcomes: Sequence[Outcome], settings: Sequence[Set
 def _words(outcome: Outcome, settings: Sequence[Setting]) -> str:
     if outcome.kind == SLIDING and (n_quiet := sum(setting.runs.n_of(QUIET) for setting in settings)):
         is_partly = any(setting.runs.n_of(SLIDING) for setting in settings)
-        return f"slide steadily{{}} ({n_quiet:,} only so far)" if is_partly else PREDICATES[QUIET]
+        return f"slide steadily{{}} ({n_quiet:,} may stick again)" if is_partly else PREDICATES[QUIET]
     exits = f" of {plural(outcome.exits, 'exit')} per period" if outcome.exits else ""
     return PREDICATES[outcome.kind] + exits
 
@@ -337,7 +337,7 @@ class Portion:
 def portions(study: Study, runs: Runs, name: str = "", besides: Iterable[str] = ()) -> list[Portion]:
     """The outcomes of some runs in the order of pages, and kinds besides, with no runs if no run has them.
 
-    Whether runs that slide so far stick again is not known, which widens the interval of what sticks.
+    Sliding runs that may stick again widen the interval of what sticks.
     """
     outcomes = {*zip(runs.said.tolist(), runs.cycles.tolist(), strict=True)}
     outcomes |= {(kind, 0) for kind in {*besides} - {*runs.said.tolist()}}

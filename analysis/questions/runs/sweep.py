@@ -83,7 +83,7 @@ def _lack(grid: Grid, steps: Sequence[Step]) -> Lack:
     n_units = max(len(point.group.units) for point in grid.every)
     if n_units >= enough.LEAST_MATRICES and not any(step.contrast.n_first for step in steps):
         return Lack(what, Reason.NOT_RUN, "no two settings differ in one key alone")
-    return few(what, n_units)
+    return few(what, (point.group for point in grid.every))
 
 
 def _method(grid: Grid, steps: Sequence[Step], unit: str) -> str:

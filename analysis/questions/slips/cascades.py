@@ -183,11 +183,10 @@ def gain(sums: Sums, confidence: float) -> Estimate:
 def answer(study: Study) -> Answer:
     """How cascade sizes fall off, beside what three nulls would give."""
     level = study.settings.confidence
-    judged = study.judged()
-    if judged and not any(group.has_onsets for group in judged):
-        return Answer(findings=[Lack("the decay rate of cascade sizes", Reason.MERGED)])
     sums = {group.label: _sums(study, group) for group in study.groups if group.has_onsets}
-    judged = [group for group in judged if group.has_onsets]
+    judged = [group for group in study.judged() if group.label in sums]
+    if not judged and study.judged():
+        return Answer(findings=[Lack("the decay rate of cascade sizes", Reason.MERGED)])
     with_rate = [entry for group in judged if (entry := sums[group.label]).estimate(gamma, level).low is not None]
     with_rate.sort(key=lambda entry: not entry.group.is_exact)
     # blocks are shifted where it is said what that gives
@@ -238,11 +237,8 @@ def _drifting(study: Study, judged: Sequence[Group], sums: Mapping[str, Sums]) -
     if any(group.is_exact for group in judged):
         return None
     level = study.settings.confidence
-    drifts = [
-        group
-        for group in study.groups
-        if group.has_onsets and group.basis(level).code == enough.DRIFTS and (group.is_exact or not judged)
-    ]
+    groups = (entry.group for entry in sums.values() if entry.group.is_exact or not judged)
+    drifts = [group for group in groups if group.basis(level).code == enough.DRIFTS]
     lead = min(drifts, key=lambda group: (not group.is_exact, -int(group.key["n"])), default=None)
     if lead is None or (rate := sums[lead.label].estimate(gamma, level)).low is None:
         return None

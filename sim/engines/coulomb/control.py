@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Generic, NamedTuple
 
-from stickslip.sim.engines import loop
+from stickslip.sim.engines import course
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
@@ -112,19 +112,19 @@ TOLD = 4.0
 
 #: Clocks behind those that every engine keeps: decaying sums, for the mean length of a window, of their time and of
 #: the number of windows that were cut short.
-EXPOSURE, CUTS = range(loop.N_CLOCKS, loop.N_CLOCKS + 2)
+EXPOSURE, CUTS = range(course.N_CLOCKS, course.N_CLOCKS + 2)
 
 
-class Goal(NamedTuple, Generic[loop.Number]):
+class Goal(NamedTuple, Generic[course.Number]):
     """What a piece is run to: its end, the tolerance, and bounds."""
 
-    t_end: loop.Number  #: from the start of the piece
+    t_end: course.Number  #: from the start of the piece
     is_last: bool
     instant: float  #: none: -1
-    tol: loop.Number
-    rate: loop.Number  #: bounds |eigenvalues|
-    decay: loop.Number  #: the rate at which errors fade, at least
-    bound: loop.Number  #: of |z_i| and |w_i|; beyond it Python decides whether the run diverges
+    tol: course.Number
+    rate: course.Number  #: bounds |eigenvalues|
+    decay: course.Number  #: the rate at which errors fade, at least
+    bound: course.Number  #: of |z_i| and |w_i|; beyond it Python decides whether the run diverges
 
 
 @inner

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines import loop
+from stickslip.sim.engines import course
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.products import Room
@@ -32,7 +32,7 @@ class Shape(NamedTuple):
     x0: Floats
 
 
-@loop.by_run("mode", "touching", "leaves")
+@course.by_run("mode", "touching", "leaves")
 class Expansion(NamedTuple):
     """The series of n blocks about the present instant, which of them stick from then on, and workspace.
 

@@ -20,8 +20,8 @@ from stickslip.sim.engines.coulomb.model import Model
 from stickslip.sim.engines.coulomb.overdamped import Slow, is_heavy
 from stickslip.sim.engines.coulomb.sparse import Local
 from stickslip.sim.engines.coulomb.windows import Search, Work
+from stickslip.sim.engines.course import Events, FirstSlice, State
 from stickslip.sim.engines.forcing import Drive
-from stickslip.sim.engines.loop import Events, FirstSlice, State
 from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.engines.stacks import Several, Stack
 from stickslip.sim.kernels.compile import kernel
@@ -90,7 +90,7 @@ def _may_begin_together(tasks: Sequence[Task], engine: Coulomb) -> bool:
     """Whether all are run by series, with products of one kind, and none is beyond float64 or heavily damped."""
     pull, damping = (np.array([getattr(task.system, name) for task in tasks]) for name in ("row_sums", "damping"))
     is_any_alone = is_heavy(damping, pull, 0.0).any() or any(
-        engine.is_by_waves(task.system, task.length) or _beyond_float64(task, True) for task in tasks
+        _is_by_waves(task, engine) or _beyond_float64(task, True) for task in tasks
     )
     return not is_any_alone and products.are_of_one_kind(pull)
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines import loop
+from stickslip.sim.engines import course
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.forcing import Drive, Forcing
 from stickslip.sim.engines.polynomials import Polynomials
@@ -100,8 +100,8 @@ class Model(NamedTuple):
         (system,), (drive,) = systems, drives
         model = _of_alone(system)
         if drive.is_forced:
-            model = model._replace(belt_speed=drive.belt_speed[np.newaxis], forcing=loop.forcing_of(drives))
-        return model if system.cross_damping is None else model._replace(cross=loop.stack([Cross.of(system)]))
+            model = model._replace(belt_speed=drive.belt_speed[np.newaxis], forcing=course.forcing_of(drives))
+        return model if system.cross_damping is None else model._replace(cross=course.stack([Cross.of(system)]))
 
     @classmethod
     def _of(cls, systems: Sequence[System]) -> Model:
@@ -114,7 +114,7 @@ class Model(NamedTuple):
             none = np.empty((m, 0), np.int32)
             columns = Columns(np.array(dense.swapaxes(1, 2), order="C"), none, none, np.empty((m, 0)))
         else:
-            dense, columns = np.empty((m, 0, 0)), loop.stack([first.columns])
+            dense, columns = np.empty((m, 0, 0)), course.stack([first.columns])
         return cls(
             columns,
             Pairs.of(dense, row_sums),
@@ -123,7 +123,7 @@ class Model(NamedTuple):
             near,
             static,
             np.array([system.closed for system in systems]),
-            loop.stack([SpeedWeakening.of(first)]),
+            course.stack([SpeedWeakening.of(first)]),
             belt,
             Forcing.none(m),
             None,

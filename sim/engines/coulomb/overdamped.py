@@ -19,15 +19,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines import loop
+from stickslip.sim.engines import course
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.control import Goal
 from stickslip.sim.engines.coulomb.expansion import Expansion
 from stickslip.sim.engines.coulomb.model import Model, fastest_belt
 from stickslip.sim.engines.coulomb.sticking import IDENTICALLY_ZERO, known, settle
 from stickslip.sim.engines.coulomb.taylor import hold
+from stickslip.sim.engines.course import State
 from stickslip.sim.engines.forcing import begin, may_change, take_off
-from stickslip.sim.engines.loop import State
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
@@ -167,7 +167,7 @@ def _settled(
 ) -> tuple[int, float, float, int]:
     """As `follow`, for a given pace; order 0 if the series do not converge, -1 if transients were found."""
     series, mode, moves, v = expansion.series, expansion.mode, slow.moves, model.belt_speed
-    z, w, t, tol, (least, rate) = state.z, state.w, state.clock[loop.TIME], goal.tol, pace
+    z, w, t, tol, (least, rate) = state.z, state.w, state.clock[course.TIME], goal.tol, pace
     n, n_products, n_shorter = len(z), 0, 0
     h = min(target, control.SPAN / rate) if rate > 0.0 else target
     for k in range(2, control.ORDER_MAX + 1):
@@ -209,7 +209,7 @@ def follow(
         return 0, 0.0, 0.0, 0
     v, mode, touching, forcing = model.belt_speed, expansion.mode, expansion.touching, model.forcing
     forces, zeros, patience = expansion.forces, expansion.zeros, slow.patience
-    z, w, t = state.z, state.w, state.clock[loop.TIME]
+    z, w, t = state.z, state.w, state.clock[course.TIME]
     n, n_products = len(z), 1
     failed = 0, 0.0, 0.0
     for i in range(n):

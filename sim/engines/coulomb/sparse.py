@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines import loop
+from stickslip.sim.engines import course
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.control import Goal
 from stickslip.sim.engines.coulomb.events import Face, enclose, excluded, root
@@ -24,8 +24,8 @@ from stickslip.sim.engines.coulomb.model import Cross, Model
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
 from stickslip.sim.engines.coulomb.taylor import UNDECIDED, curvature, decide, error_after, expand, pull_of
 from stickslip.sim.engines.coulomb.windows import Search, Work, evaluate, instant, note, record, sample, stalls
+from stickslip.sim.engines.course import Events, State
 from stickslip.sim.engines.frame import Way, frame
-from stickslip.sim.engines.loop import Events, State
 from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
@@ -405,7 +405,7 @@ def _open(
     target = control.next_window(state.clock, remaining)
     target = min(target, control.SPARSE_SPAN / goal.rate) if goal.rate > 0.0 else target
     order, h, allowed, n_products = expand(model, work.expansion, goal, state, target)
-    state.counters[loop.N_PRODUCTS] += n_products
+    state.counters[course.N_PRODUCTS] += n_products
     work.local.origin[:] = 0.0
     return Opened(Window(order, h, allowed, largest(state.z) + h * allowed / goal.tol), target)
 
@@ -428,7 +428,7 @@ def _pass_event(
     """Carry the series over an event at the start of a span, if no other is due then; returns as `_pass_on_from`."""
     due, s = work.local.due, span[0]
     _schedule(due, block, _NEVER)
-    if due[1] <= s + instant(goal, state.clock[loop.TIME]):
+    if due[1] <= s + instant(goal, state.clock[course.TIME]):
         return -1.0
     return _pass_on_from(model, goal, work.expansion, work.search, work.local, window, block, span)
 
@@ -448,36 +448,36 @@ def _carry(
     """Go on to the end of the window, from event to event; see `frame.Way`."""
     expansion, local, clock, counters, mode = work.expansion, work.local, state.clock, state.counters, state.mode
     window, target, n, n_slip = opened.series, opened.target, len(mode), 0
-    t, lacked, error_before = clock[loop.TIME], clock[loop.LACKING], clock[loop.ERROR]
+    t, lacked, error_before = clock[course.TIME], clock[course.LACKING], clock[course.ERROR]
     _schedule_all(model, expansion, work.search, local.due, window.order, window.span)
     for i in range(n):
         n_slip += abs(mode[i])
     error = error_after(model, expansion, goal, window, window.span, error_before)
     s, end, block, goes_on = 0.0, window.span, -1, True
     while goes_on:
-        counters[loop.N_STEPS] += 1
+        counters[course.N_STEPS] += 1
         is_event, goes_on = local.due[1] <= end, False
         length = min(local.due[1], end) - s
         s = min(local.due[1], end)
-        clock[loop.TIME], clock[loop.LACKING] = loop.later(t, lacked, s, goal.t_end)
-        sample(expansion, model.belt_speed, local.origin, window.order, t, clock[loop.TIME], state)
-        if stalls(goal, counters, length, clock[loop.TIME], not is_after_event):
+        clock[course.TIME], clock[course.LACKING] = course.later(t, lacked, s, goal.t_end)
+        sample(expansion, model.belt_speed, local.origin, window.order, t, clock[course.TIME], state)
+        if stalls(goal, counters, length, clock[course.TIME], not is_after_event):
             return opened, n_recorded, True
         block = -1
         if is_event:
             block = _winner(local.due)
-            counters[loop.LAST_BLOCK] = block
+            counters[course.LAST_BLOCK] = block
             was = mode[block]
             # while none slips, nothing is expanded yet
             carried_to = _pass_event(model, work, goal, state, window, block, (s, end)) if n_slip > 0 else -1.0
             if carried_to >= s:
                 end, is_after_event = min(end, carried_to), True
                 n_recorded = record(model, work, clock, (block, was), error, events, n_recorded)
-                loop.note_event(clock, counters)
+                course.note_event(clock, counters)
                 n_slip += abs(mode[block]) - abs(was)
-                is_asked = n_slip == n and loop.is_check_due(state, mode, precheck, goal.t_end - t - s)
+                is_asked = n_slip == n and course.is_check_due(state, mode, precheck, goal.t_end - t - s)
                 goes_on = n_slip > 0 and not is_asked and n_recorded + n <= len(events.t)
-    clock[loop.ERROR] = error_after(model, expansion, goal, window, s, error_before)
+    clock[course.ERROR] = error_after(model, expansion, goal, window, s, error_before)
     _close(model, work, state, window, s, block)
     clock[control.EXPOSURE] += min(s, target)
     control.note_window(clock, s < target)

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from stickslip.sim.engines import loop
+from stickslip.sim.engines import course
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.control import Goal
 from stickslip.sim.engines.coulomb.events import enclose, excluded, root
@@ -37,8 +37,8 @@ from stickslip.sim.engines.coulomb.overdamped import follow
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
 from stickslip.sim.engines.coulomb.taylor import correct, error_after, expand, shift
 from stickslip.sim.engines.coulomb.windows import Search, Work, evaluate, note, sample, stalls
+from stickslip.sim.engines.course import Events, State
 from stickslip.sim.engines.frame import Way, frame
-from stickslip.sim.engines.loop import Events, State
 from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
@@ -131,14 +131,14 @@ def _open(
         return window
     target = control.next_window(state.clock, remaining)
     order, h, allowed, n_products = follow(work.slow, model, work.expansion, goal, state, target)
-    state.counters[loop.N_PRODUCTS] += n_products
+    state.counters[course.N_PRODUCTS] += n_products
     is_slow = order > 0
     if not is_slow:
         target = min(target, control.SPAN / goal.rate) if goal.rate > 0.0 else target
         order, h, allowed, n_products = expand(model, work.expansion, goal, state, target)
-        state.counters[loop.N_PRODUCTS] += n_products
+        state.counters[course.N_PRODUCTS] += n_products
     is_cut = model.weakening is not None and h < target
-    return Window(True, is_cut, is_slow, order, h, h, 0.0, allowed, state.clock[loop.ERROR])
+    return Window(True, is_cut, is_slow, order, h, h, 0.0, allowed, state.clock[course.ERROR])
 
 
 @inner
@@ -188,20 +188,20 @@ def _carry(
     expansion, noise, v, order = work.expansion, work.search.near, model.belt_speed, window.order
     z, w, clock, counters = state.z, state.w, state.clock, state.counters
     series, reach = expansion.series, work.search.reach
-    t, remaining = clock[loop.TIME], goal.t_end - clock[loop.TIME]
+    t, remaining = clock[course.TIME], goal.t_end - clock[course.TIME]
     step, block = _first_event(model, expansion, work.search, order, window.left)
     if not goal.is_last and remaining - step <= ROUNDING * goal.t_end:
         step = remaining  # an event that rounding cannot tell from the end belongs to the next piece
-    counters[loop.N_STEPS] += 1
+    counters[course.N_STEPS] += 1
     if block >= 0:
-        counters[loop.LAST_BLOCK] = block
+        counters[course.LAST_BLOCK] = block
     for i in range(len(z)):
         noise[i] = ROUNDING * (abs(series[1, i] - v[i]) + abs(2.0 * series[2, i] * window.left) + reach[i])
-    t_next, lacking = loop.later(t, clock[loop.LACKING], step, goal.t_end)
+    t_next, lacking = course.later(t, clock[course.LACKING], step, goal.t_end)
     sample(expansion, v, None, order, t, t_next, state)
     age, left = window.age + step, window.left - step
     of_series = Series(order, window.span, window.allowed, 0.0)
-    clock[loop.ERROR] = error_after(model, expansion, goal, of_series, age, window.error)
+    clock[course.ERROR] = error_after(model, expansion, goal, of_series, age, window.error)
     is_linear = model.weakening is None and not window.is_slow and model.cross is None
     if block >= 0 and left > 0.0 and is_linear and model.carries:
         h = _pass_event(model, work, goal, state, window, block, step, left)
@@ -210,7 +210,7 @@ def _carry(
         evaluate(expansion, v, None, order, step, z, w)
         _on_the_edge(model, expansion, noise, 0.0, w, block, order, step, False)
         h, is_cut, is_open = 0.0, window.is_cut or block >= 0, False
-    clock[loop.TIME], clock[loop.LACKING] = t_next, lacking
+    clock[course.TIME], clock[course.LACKING] = t_next, lacking
     clock[control.EXPOSURE] += step
     if not is_open:
         control.note_window(clock, is_cut)

@@ -21,14 +21,14 @@ import math
 
 import numpy as np
 
-from stickslip.sim.engines import loop
+from stickslip.sim.engines import course
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.control import Goal
 from stickslip.sim.engines.coulomb.expansion import Expansion, Shape, Window
 from stickslip.sim.engines.coulomb.model import SERIES_OF, Cross, Model, SpeedWeakening, coupling, fastest_belt
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push, settle, settle_by_order
+from stickslip.sim.engines.course import State
 from stickslip.sim.engines.forcing import acts, begin, may_change, take_off
-from stickslip.sim.engines.loop import State
 from stickslip.sim.engines.polynomials import Polynomials, begin_series, extend_series, left_at, place_of, value_of
 from stickslip.sim.kernels.compile import inner, one_of
 from stickslip.sim.numerics.arguments import Floats
@@ -312,7 +312,7 @@ def _begin(model: Model, expansion: Expansion, state: State) -> tuple[int, float
 
     Returns how many blocks are not decided yet, and what a force pushes in the next order.
     """
-    damping, friction, v, t = model.damping, model.friction, model.belt_speed, state.clock[loop.TIME]
+    damping, friction, v, t = model.damping, model.friction, model.belt_speed, state.clock[course.TIME]
     series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
     z, w = state.z, state.w
     for i in range(len(z)):
@@ -378,7 +378,7 @@ def _expand(
 ) -> tuple[int, float, float, int]:
     """As `expand`; the order is 0 if it is to begin again, now that a block is known to leave."""
     series, forces, slips, sizes = expansion.series, expansion.forces, expansion.slips, expansion.sizes
-    shape, weakening, forcing, t = expansion.shape, model.weakening, model.forcing, state.clock[loop.TIME]
+    shape, weakening, forcing, t = expansion.shape, model.weakening, model.forcing, state.clock[course.TIME]
     n_undecided, pushed_next = _begin(model, expansion, state)
     target = min(target, _known_within(weakening, shape, expansion))
     # the error of w allowed in this step: relative to w, the belt and the change of w; that of z is then smaller

@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from stickslip.sim.engines import loop
+from stickslip.sim.engines import course
 from stickslip.sim.engines.certificates import Collapse
 from stickslip.sim.engines.contract import Task
-from stickslip.sim.engines.loop import Events
+from stickslip.sim.engines.course import Events
 from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.engines.sigmoid_law import SetValued
 from stickslip.sim.engines.stacks import Stack
@@ -71,7 +71,7 @@ class _Waves(WaveformRuns):
         exact = Exact(limits.EXACT_CALIBRATION * tol, 0.5 * max(0.0, system.least_damping), system.fastest_belt)
         self.begin_clocks(modes, exact.tol, max(system.fastest_belt, float(np.abs(task.w0).max())))
         self.single_rates = limits.single_rate(np.array([signed_sum(system)])) / limits.EXACT_SINGLE_SHARE
-        self.states.counters[:, loop.N_PRODUCTS] = 2
+        self.states.counters[:, course.N_PRODUCTS] = 2
         self.work = Workspace.of(self.tables, modes, False, _PIECES * n + _MORE, is_exact=True)
         self.events_a_step, Shared(self.work.shared).safety = len(self.work.changes.x), self.safety
         unused = np.zeros((1, 1, 0))
@@ -79,7 +79,7 @@ class _Waves(WaveformRuns):
             SetValued(),
             exact,
             *matrices_of(system),
-            loop.forcing_of(self.drives),
+            course.forcing_of(self.drives),
             unused,
             unused,
             np.ones((1, 1), np.bool_),
@@ -109,4 +109,4 @@ def run(task: Task, tol: float, followed: float, otherwise: Callable[[], Run]) -
         return waves.go_on(0)
     except StalledError:
         run = otherwise()
-        return replace(run, stats=run.stats.after(loop.stats_of(waves.states.counters[0], 0, waves.method)))
+        return replace(run, stats=run.stats.after(course.stats_of(waves.states.counters[0], 0, waves.method)))

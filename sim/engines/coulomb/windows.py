@@ -8,20 +8,20 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines import loop
+from stickslip.sim.engines import course
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.control import Goal
 from stickslip.sim.engines.coulomb.expansion import Expansion
 from stickslip.sim.engines.coulomb.model import Model, coupling
 from stickslip.sim.engines.coulomb.overdamped import Slow
-from stickslip.sim.engines.loop import Events, State
+from stickslip.sim.engines.course import Events, State
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats, Ints
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy
 from stickslip.sim.numerics.horner import values_and_slopes
 
 
-@loop.by_run("known_mode", "initial_mode")
+@course.by_run("known_mode", "initial_mode")
 class Search(NamedTuple):
     """The modes recorded so far, and the workspace of the search for events, for n blocks."""
 
@@ -43,7 +43,7 @@ class Search(NamedTuple):
 Near = TypeVar("Near", covariant=True)
 
 
-@loop.by_run("expansion", "search")
+@course.by_run("expansion", "search")
 class Work(NamedTuple, Generic[Near]):
     """What changes in a run, beside its state."""
 
@@ -74,16 +74,16 @@ def sample(
 ) -> None:
     """Record the state at all sample times up to t_next; s is the time since t."""
     samples = state.samples
-    k = state.counters[loop.N_SAMPLED]
+    k = state.counters[course.N_SAMPLED]
     while k < len(samples.t) and samples.t[k] <= t_next:
         evaluate(expansion, v, origin, order, samples.t[k] - t, samples.z[k], samples.w[k])
         k += 1
-    state.counters[loop.N_SAMPLED] = k
+    state.counters[course.N_SAMPLED] = k
 
 
 @inner
 def touch(model: Model, series: Floats, i: int, before: int, mode: int, error: float) -> float:
-    """As of `loop.touch`, at an event of block i, about which its series now is.
+    """As of `course.touch`, at an event of block i, about which its series now is.
 
     With a static friction above the kinetic a change of mode may last any time: a touch sticks there, until F has
     gone from the kinetic to the static.
@@ -98,7 +98,7 @@ def touch(model: Model, series: Floats, i: int, before: int, mode: int, error: f
     pull, drag = model.row_sums[i], coupling(model.cross, i)
     if drag > 0.0:
         pull = (math.sqrt(pull) + drag) ** 2
-    return loop.touch(before, mode, slope, braked, pull, control.TOLD * error)
+    return course.touch(before, mode, slope, braked, pull, control.TOLD * error)
 
 
 @inner
@@ -107,17 +107,17 @@ def note(
 ) -> tuple[int, bool]:
     """Record the modes that have changed; returns how many events are recorded, and whether all modes agree."""
     clock, counters, mode, known_mode = state.clock, state.counters, state.mode, work.search.known_mode
-    if counters[loop.N_STEPS] == 0:
+    if counters[course.N_STEPS] == 0:
         copy(mode, work.search.initial_mode)
         copy(mode, known_mode)
     before, same = n_recorded, True
     for i in range(len(mode)):
         if mode[i] != known_mode[i]:
-            n_recorded = record(model, work, clock, (i, known_mode[i]), clock[loop.ERROR], events, n_recorded)
+            n_recorded = record(model, work, clock, (i, known_mode[i]), clock[course.ERROR], events, n_recorded)
         same = same and mode[i] == mode[0]
     if n_recorded > before:
-        loop.note_event(clock, counters)
-    loop.note_all_stuck_at(same and mode[0] == 0, clock[loop.TIME], state.z, events, counters)
+        course.note_event(clock, counters)
+    course.note_all_stuck_at(same and mode[0] == 0, clock[course.TIME], state.z, events, counters)
     return n_recorded, same
 
 
@@ -133,7 +133,7 @@ def record(
 ) -> int:
     """Record an event now: a block, and its mode before. Returns how many events are recorded."""
     (block, before), mode = change, work.expansion.mode
-    events.t[n_recorded] = clock[loop.TIME]
+    events.t[n_recorded] = clock[course.TIME]
     events.block[n_recorded] = block
     events.mode[n_recorded] = mode[block]
     events.touch[n_recorded] = touch(model, work.expansion.series, block, before, mode[block], error)
@@ -154,5 +154,5 @@ def stalls(goal: Goal[float], counters: Ints, length: float, t: float, is_withou
     if is_without_event and goal.rate > 0.0:
         # rounding can also make touches of a block that feels one far larger than itself: an end, but no event
         least = max(least, control.CRAWL / goal.rate)
-    counters[loop.N_STALLED] = counters[loop.N_STALLED] + 1 if length <= least else 0
-    return counters[loop.N_STALLED] > control.STALL
+    counters[course.N_STALLED] = counters[course.N_STALLED] + 1 if length <= least else 0
+    return counters[course.N_STALLED] > control.STALL

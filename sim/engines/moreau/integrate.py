@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from stickslip.sim.engines.contract import Task
-from stickslip.sim.engines.loop import Buffers
+from stickslip.sim.engines.course import Buffers
 from stickslip.sim.engines.moreau.step import (
     BEYOND,
     DONE,

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines import certificates, loop, stacks
+from stickslip.sim.engines import certificates, course, stacks
 from stickslip.sim.engines.contract import Ratios, Task
+from stickslip.sim.engines.course import Events
 from stickslip.sim.engines.forcing import Forcing
-from stickslip.sim.engines.loop import Events
 from stickslip.sim.engines.polynomials import Polynomials
 from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.engines.sigmoid_law import Peaked, Plain, Steady
@@ -205,7 +205,7 @@ class _Runs(WaveformRuns):
         self.layer, self.inside, self.models = layer, given.inside, given.models
         self.longest = atol / (limits.CREEP * layer.widest)
         if self.drives[0].is_forced:
-            self.models = self.models._replace(forcing=loop.forcing_of(self.drives))
+            self.models = self.models._replace(forcing=course.forcing_of(self.drives))
         self.modes = _modes(self.block, self.models.bands, layer)
         self.initial_modes = self.modes.copy()
         self.collapse = [
@@ -213,7 +213,7 @@ class _Runs(WaveformRuns):
             for task, error, smoothed in zip(tasks, given.allowed, given.smoothed, strict=True)
         ]
         steps = self.begin_clocks(self.modes, atol)
-        self.states.counters[:, loop.N_PRODUCTS] = 1 if system.cross_damping is None else 2
+        self.states.counters[:, course.N_PRODUCTS] = 1 if system.cross_damping is None else 2
         n_substeps = 16 * system.n + 256
         self.events_a_step = PASSES * (system.n + n_substeps) * self.modes.shape[1]
         self.work = Workspace.of(self.tables, self.modes, self.drives[0].is_forced, n_substeps)
@@ -224,7 +224,7 @@ class _Runs(WaveformRuns):
     def alone(self, k: int) -> Run:
         return _alone(self.engine, self.tasks[k])
 
-    def plan(self, k: int) -> loop.Plan:
+    def plan(self, k: int) -> course.Plan:
         rest = _Rest(self, k, self.state(k))
         return super().plan(k)._replace(thresholds=self.engine.thresholds, settles=rest.flow)
 
@@ -232,7 +232,7 @@ class _Runs(WaveformRuns):
 class _Rest:
     """Whether the blocks of a run come to rest, without another event by any definition of sticking."""
 
-    def __init__(self, runs: _Runs, k: int, state: loop.State) -> None:
+    def __init__(self, runs: _Runs, k: int, state: course.State) -> None:
         self._runs, self._k, self._state = runs, k, state
         self._near = _NEAR_REST * runs.layer.widest
 
@@ -349,6 +349,6 @@ def _matrices(systems: Sequence[System]) -> tuple[Matrix, Matrix, bool]:
     """K and N of a stack, and whether there is an N."""
     if len(systems) == 1:
         return matrices_of(systems[0])
-    none: Matrix = loop.stack([NONE] * len(systems))
+    none: Matrix = course.stack([NONE] * len(systems))
     of_all = matrix_of(np.array([one.stiffness for one in systems]))
     return none._replace(panels=of_all.panels, single_panels=of_all.single_panels), none, False

@@ -11,7 +11,7 @@ from typing import Generic, NamedTuple
 
 import numpy as np
 
-from stickslip.sim.engines import loop
+from stickslip.sim.engines import course
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
@@ -150,19 +150,19 @@ AT_END = 0.03
 
 #: Clocks behind those that every engine keeps: the next step to try, the one whose polynomials are kept, the
 #: contraction of an iteration, and whether F has jumped since the last step.
-STEP, KEPT_STEP, CONTRACTION, JUMPED = range(loop.N_CLOCKS, loop.N_CLOCKS + 4)
+STEP, KEPT_STEP, CONTRACTION, JUMPED = range(course.N_CLOCKS, course.N_CLOCKS + 4)
 
 
-class Control(NamedTuple, Generic[loop.Number]):
+class Control(NamedTuple, Generic[course.Number]):
     """The end of a piece, and the tolerances: a goal of `frame`."""
 
-    t_end: loop.Number  #: from the start of the piece
+    t_end: course.Number  #: from the start of the piece
     is_last: bool  #: whether the run ends there
     instant: float  #: if not negative: take one step to record the events by then, and keep the state
-    bound: loop.Number  #: of |z_i| and |w_i|
+    bound: course.Number  #: of |z_i| and |w_i|
     longest: float  #: the longest step, by the frequencies of forces
     safety: float  #: the safety factor, tolerance of a substep over that of the run
-    single_rate: loop.Number  #: the error of K z in single precision, over the change of z and the share allowed
+    single_rate: course.Number  #: the error of K z in single precision, over the change of z and the share allowed
 
 
 class Solution(NamedTuple):
@@ -187,7 +187,7 @@ def first_step(atol: float, speed: float) -> float:
 @inner
 def next_step(control: Control[float], clock: Floats) -> float:
     """Length of the next macro step, such that no rest of a piece is much shorter than the step before it."""
-    remaining = control.t_end - clock[loop.TIME]
+    remaining = control.t_end - clock[course.TIME]
     h = min(clock[STEP], control.longest)
     if h >= TAKES_ALL * remaining:
         return remaining

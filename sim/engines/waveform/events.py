@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from stickslip.sim.engines import loop
-from stickslip.sim.engines.loop import Buffers, Events
+from stickslip.sim.engines import course
+from stickslip.sim.engines.course import Buffers, Events
 from stickslip.sim.engines.sigmoid_law import sign_of_number
 from stickslip.sim.engines.waveform.collocation import view
 from stickslip.sim.engines.waveform.layout import Blocks, Exact, Model, Span, Workspace, blocks
@@ -291,8 +291,8 @@ def note_all_stuck(
     mode, n, count = work.modes_before, len(work.is_split), 0
     for i in range(n):
         count += mode[i] == 0
-    if counters[loop.N_STEPS] == 1:
-        loop.note_all_stuck_at(count == n, span.start, blocks(work.table).z0[:n], events, counters)
+    if counters[course.N_STEPS] == 1:
+        course.note_all_stuck_at(count == n, span.start, blocks(work.table).z0[:n], events, counters)
     most = count
     for k in range(first, n_recorded):
         most += events.block[k] < n and events.mode[k] == 0
@@ -306,10 +306,10 @@ def note_all_stuck(
             mode[i] = events.mode[k]
         k = _next(events, first, n_recorded, k)
         is_last = k < 0 or events.t[k] > t
-        if is_last and (count == n) != (counters[loop.IS_ALL_STUCK] == 1):
+        if is_last and (count == n) != (counters[course.IS_ALL_STUCK] == 1):
             work.there.t[0] = t
             sample(model, work, n_substeps, span, work.there, 0)
-            loop.note_all_stuck_at(count == n, t, work.there.z[0], events, counters)
+            course.note_all_stuck_at(count == n, t, work.there.z[0], events, counters)
 
 
 @inner

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stickslip.sim.engines.course import Buffers, by_run
 from stickslip.sim.engines.forcing import Forcing
-from stickslip.sim.engines.loop import Buffers, by_run
 from stickslip.sim.engines.waveform.matrices import Matrix
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.lanes import WIDTH

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines import loop
+from stickslip.sim.engines import course
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.panels import HEIGHT, SINGLE_HEIGHT, panels
 from stickslip.sim.systems.once import once_a_system
@@ -61,4 +61,4 @@ def matrices_of(system: System) -> tuple[Matrix, Matrix, bool]:
     """K and N of a system, as of a stack of one, and whether there is an N."""
     cross = system.cross_damping
     of_cross = NONE if cross is None else matrix_of(cross)
-    return loop.stack([matrix_of(system.stiffness)]), loop.stack([of_cross]), cross is not None
+    return course.stack([matrix_of(system.stiffness)]), course.stack([of_cross]), cross is not None

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stickslip.sim.engines.loop import Events, touch
+from stickslip.sim.engines.course import Events, touch
 from stickslip.sim.engines.waveform import control
 from stickslip.sim.engines.waveform.collocation import slide
 from stickslip.sim.engines.waveform.layout import ORDER, Blocks, Changes, Model, Span, Substeps, Workspace, blocks

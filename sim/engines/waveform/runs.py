@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines import loop
+from stickslip.sim.engines import course
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.forcing import Drive
 from stickslip.sim.engines.stacks import Several
@@ -73,7 +73,7 @@ class WaveformRuns(Several):
                 )
             ]
         )
-        self.states = loop.State.at_start(self.tasks, modes[:, 0].copy(), [(step, 1.0, 0.0, 0.0) for step in steps])
+        self.states = course.State.at_start(self.tasks, modes[:, 0].copy(), [(step, 1.0, 0.0, 0.0) for step in steps])
         self.single_rates = control.single_rate(block.row_sum.max(axis=1)) / control.SINGLE_SHARE
         return steps
 

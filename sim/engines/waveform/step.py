@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stickslip.sim.engines import loop
+from stickslip.sim.engines import course
+from stickslip.sim.engines.course import Events, State
 from stickslip.sim.engines.forcing import BELT, DRAG, JUMP, value_at
 from stickslip.sim.engines.frame import Way, frame
-from stickslip.sim.engines.loop import Events, State
 from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.engines.waveform import control as limits
 from stickslip.sim.engines.waveform.collocation import force, force_changed, predict
@@ -73,7 +73,7 @@ def _predict_step(model: Model, work: Workspace, clock: Floats, h: float) -> Non
     for first in range(0, n, WIDTH):
         predict(block, first, common)
     for k in range(len(work.forcing)):
-        value_at(model.forcing, clock[loop.TIME] + NODES[k] * h, work.forcing[k])
+        value_at(model.forcing, clock[course.TIME] + NODES[k] * h, work.forcing[k])
         for i in range(n):
             block.f[k, i] -= work.forcing[k, i]
     for i in range(n):  # no layer damps the error of a step that leaves one
@@ -233,8 +233,8 @@ def _step_events(
     else:
         error = limits.AT_END * (1.0 + solution.tail) * shared(work.shared).atol[0]
         # they have no common sign
-        clock[loop.ERROR] = math.hypot(clock[loop.ERROR] / (1.0 + exact.decay * span.length), error)
-        return record_changes(work, span, clock[loop.ERROR], events, n_recorded)
+        clock[course.ERROR] = math.hypot(clock[course.ERROR] / (1.0 + exact.decay * span.length), error)
+        return record_changes(work, span, clock[course.ERROR], events, n_recorded)
 
 
 @inner
@@ -261,10 +261,10 @@ def _solve_waveform(
             break
         n_columns = _couple_changed(model, model.exact, work, control, h) if iteration == 0 else 0
         if n_columns > 0:
-            counters[loop.N_PRODUCTS] += STAGES * n_columns // n
+            counters[course.N_PRODUCTS] += STAGES * n_columns // n
         else:
             _couple(model, work, control, h, iteration == 0)
-            counters[loop.N_PRODUCTS] += STAGES * (2 if model.has_cross else 1)
+            counters[course.N_PRODUCTS] += STAGES * (2 if model.has_cross else 1)
         moved, tail = largest(block.moved[:n]) * control.safety, largest(block.tail[:n]) * control.safety
         if not tail < limits.TAIL:
             break
@@ -281,8 +281,8 @@ def _solve_waveform(
 @inner
 def _reject(work: Workspace, clock: Floats, counters: Ints, solution: Solution, h: float) -> None:
     """Shorten the step, note which block caused its failure, and undo its changes."""
-    counters[loop.N_REJECTED] += 1
-    counters[loop.LAST_BLOCK] = _worst(work) if solution.n_substeps >= 0 else -1 - solution.n_substeps
+    counters[course.N_REJECTED] += 1
+    counters[course.LAST_BLOCK] = _worst(work) if solution.n_substeps >= 0 else -1 - solution.n_substeps
     shrink(clock, h, solution.tail)
     copy(work.next_h_before, work.next_h)
 
@@ -354,7 +354,7 @@ def _note(
 @inner
 def _at(model: Model, work: Workspace, goal: Control[float], state: State, window: Window, t: float) -> None:
     counters = state.counters
-    counters[loop.N_SAMPLED] = sample(model, work, 0, Span(t, 1.0, t), state.samples, counters[loop.N_SAMPLED])
+    counters[course.N_SAMPLED] = sample(model, work, 0, Span(t, 1.0, t), state.samples, counters[course.N_SAMPLED])
 
 
 @inner
@@ -389,30 +389,30 @@ def _carry(
     n_recorded: int,
 ) -> tuple[Window, int, bool]:
     """Take a macro step, if it can be solved; see `frame.Way`."""
-    clock, counters, t, h = state.clock, state.counters, state.clock[loop.TIME], window.h
+    clock, counters, t, h = state.clock, state.counters, state.clock[course.TIME], window.h
     _predict_step(model, work, clock, h)
     solution = _solve_waveform(model, work, goal, clock, counters, h)
     if not solution.converged:
         _reject(work, clock, counters, solution, h)
         is_shortest = clock[limits.STEP] <= limits.SHORTEST * max(min(1.0, goal.t_end), t)
         return Window(h, False), n_recorded, is_shortest
-    counters[loop.N_STEPS] += 1
-    end, lacking = loop.later(t, clock[loop.LACKING], h, goal.t_end)
+    counters[course.N_STEPS] += 1
+    end, lacking = course.later(t, clock[course.LACKING], h, goal.t_end)
     span, first_event, n_substeps = Span(t, h, end), n_recorded, solution.n_substeps
     n_recorded = _step_events(model, model.exact, work, clock, solution, span, events, n_recorded)
     if goal.instant >= 0.0:
         n_recorded = until(goal.instant, first_event, n_recorded, events)
     note_all_stuck(model, work, n_substeps, span, first_event, n_recorded, events, counters)
     if goal.instant < 0.0:
-        n_sampled = counters[loop.N_SAMPLED]
-        counters[loop.N_SAMPLED] = sample(model, work, n_substeps, span, state.samples, n_sampled)
+        n_sampled = counters[course.N_SAMPLED]
+        counters[course.N_SAMPLED] = sample(model, work, n_substeps, span, state.samples, n_sampled)
         _accept(work, state, h)
         grow(clock, h, solution, window.may_grow)
         copy(work.modes[0], state.mode)
-        clock[loop.TIME], clock[loop.LACKING] = end, lacking
+        clock[course.TIME], clock[course.LACKING] = end, lacking
         for k in range(first_event, n_recorded):
             if events.block[k] < len(state.mode):  # by the first definition of sticking
-                loop.note_event(clock, counters)
+                course.note_event(clock, counters)
     return Window(h, True), n_recorded, False
 
 

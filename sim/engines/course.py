@@ -1,4 +1,4 @@
-"""The loop around an engine's kernel, in slices between which Python can handle signals.
+"""The course of a run through its engine's kernel, in slices between which Python can handle signals.
 
 A kernel advances a run by a slice and returns ``(status, n_recorded)``. The run's state is kept in the arrays that it
 is given, so the next call goes on where the last one stopped.
