@@ -120,8 +120,8 @@ def _axis(steps: Sequence[Step]) -> tuple[np.ndarray, float]:
     """Differences with the ends of their intervals in per cent, shape (k, 3), and where the axis ends: beyond all."""
     ends = 100.0 * with_ends(step.contrast.difference.estimate for step in steps).T
     reach = np.abs(ends).max(axis=1)
-    most = max(1.5 * np.abs(ends[:, 0]).max(), 4.0 * float(np.median(reach)))
-    return ends, 1.08 * min(reach.max(), most) or 1.0
+    limit = max(1.5 * np.abs(ends[:, 0]).max(), 4.0 * float(np.median(reach)))
+    return ends, 1.08 * min(reach.max(), limit) or 1.0
 
 
 def _in_per_cent(step: Step) -> bool:

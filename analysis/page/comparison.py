@@ -95,10 +95,10 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     steps = judged_together(unjudged, 1 - settings.confidence)
     lost = [row for k, ensemble in enumerate((first, second)) for row in _lost(ensemble.name, groups[k], k, matches)]
     tables = {"changes": table_of(steps), "alone": frame_of(Alone, lost)}
-    every = [group for side in groups for group in side]
-    laws, is_told = parts.engine_laws(every)  # one needs no name
+    both_sides = [group for side in groups for group in side]
+    laws, is_told = parts.engine_laws(both_sides)  # one needs no name
     notes = [*_of_matches(matches, unit), *_of_lost(lost), *_of_settings(first, second, settings), *[laws] * is_told]
-    answer = replace(_answer(first.name, second.name, steps, every, unit), tables=tables)
+    answer = replace(_answer(first.name, second.name, steps, both_sides, unit), tables=tables)
     return _report(first, second, answer, notes)
 
 

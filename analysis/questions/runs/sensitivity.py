@@ -116,15 +116,15 @@ class Rate(NamedTuple):
 class Parting(NamedTuple):
     """When the copies with one change have parted from their base, in how many systems that is known.
 
-    `left` is the share of these whose copies are together at the `horizon`; in `n_grew` other systems the motion of
-    one of the two grew without limit before they parted.
+    `together` is the share of these whose copies are together at the `horizon`; in `n_grew` other systems the motion
+    of one of the two grew without limit before they parted.
     """
 
     setting: Setting
     change: Change
     pairs: Followed
     half: Estimate
-    left: Estimate
+    together: Estimate
     n_systems: int
     n_grew: int
     horizon: str
@@ -213,8 +213,8 @@ def _partings(study: Study, setting: Setting) -> Iterator[Parting]:
         if n_systems := len(times) - n_grew:
             half = median(times, has_parted, study.settings.confidence)
             n_left = n_systems - int(has_parted.sum())
-            left = Estimate(n_left / n_systems, *wilson(n_left, n_systems, study.settings.confidence))
-            yield Parting(setting, comparison.change, pairs, half, left, n_systems, n_grew, horizon)
+            together = Estimate(n_left / n_systems, *wilson(n_left, n_systems, study.settings.confidence))
+            yield Parting(setting, comparison.change, pairs, half, together, n_systems, n_grew, horizon)
 
 
 def _alike(partings: Sequence[Parting]) -> list[list[Parting]]:
@@ -242,7 +242,7 @@ def _finding(alike: Sequence[Parting]) -> Lifetime | Share:
     if example.half.value is not None:
         return Lifetime(PARTED, example.half, where, basis=basis)
     n, predicate = sum(parted.n_systems for parted in alike), f"are still together at t = {example.horizon}"
-    return Share("together", "copies", predicate, example.left, where, basis=basis, n=n)
+    return Share("together", "copies", predicate, example.together, where, basis=basis, n=n)
 
 
 # ------------------------------------------------------------------------------------------------- figures

@@ -102,8 +102,8 @@ def _alerts(group: Group, missed: Mapping[str, float], n_fits: int) -> list[Aler
 def _law(motion: Slow, where: Place, unit: str, is_missed: bool) -> Law:
     """At what period blocks move together, how much of the variance that is, and how far data are from the fit."""
     basis, estimates, goodness = Basis(len(motion.units), unit), motion.fit.estimates, motion.goodness
-    on = Place.words(f"{goodness.dof} degrees of freedom")
-    deviance = Level(DEVIANCE, Estimate(goodness.deviance), where + on)
+    freedom = Place.words(f"{goodness.dof} degrees of freedom")
+    deviance = Level(DEVIANCE, Estimate(goodness.deviance), where + freedom)
     period, share = (
         Level(quantity, estimates[number], where, basis=basis)
         for quantity, number in ((PERIOD, Number.PERIOD), (SHARE, Number.SHARE))
