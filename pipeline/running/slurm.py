@@ -2,7 +2,7 @@
 
 The scheduler is in this process. It and the workers obey only a certificate that is made for the one run, and open no
 page. Workers find the certificate in files that only their owner can read, in a directory of its own in the one in
-which the run was started.
+which the run was started, or in the home directory where others may write that one.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import os
 import re
 import shlex
 import signal
+import stat
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from stickslip.pipeline.machine.processes import ONE_THREAD
 from stickslip.pipeline.machine.scratch import scratch
 from stickslip.pipeline.machine.signals import unbroken
 from stickslip.pipeline.running.cluster import QuietScheduler, QuietWorker
+from stickslip.sim.kernels.cache import is_ours, others_write
 
 log = logging.getLogger(__name__)
 
@@ -108,6 +110,7 @@ def job_settings(workers: int, options: Sequence[str]) -> dict[str, Any]:
     prologue = [f"export {name}={value}" for name, value in ONE_THREAD.items()]
     # of its own: workers look for modules there, and the shared one belongs to whoever came first
     prologue += ["export DASK_TEMPORARY_DIRECTORY=$(mktemp -d)", "trap 'rm -rf \"$DASK_TEMPORARY_DIRECTORY\"' EXIT"]
+    prologue += ["trap : TERM"]  # which all of a job are sent: first end the workers, which still use it
     return {
         "job_name": "stickslip",
         "cores": n_processes,
@@ -145,13 +148,22 @@ def _start(kind: type[Any], settings: dict[str, Any], n_jobs: int, opened: conte
     # of its own, as above: this process, which has the scheduler, looks for modules there too
     directory = opened.enter_context(scratch())
     opened.enter_context(dask.config.set({"temporary-directory": directory.pinned}))
-    security = certificate(Path(opened.enter_context(scratch(os.getcwd())).path))
+    security = certificate(Path(opened.enter_context(scratch(str(_shared()))).path))
     with unbroken():  # a cluster that is half built, or half closed, would leave its jobs behind
         cluster = kind(**settings, security=security)
         opened.callback(_close, cluster)
     # not `scale`: what is adapted is also replaced, when a job's time is over or its node fails
     cluster.adapt(minimum_jobs=n_jobs, maximum_jobs=n_jobs)
     return opened.enter_context(Client(cluster, set_as_default=False))
+
+
+def _shared() -> Path:
+    """A directory that jobs see too, in which nobody else can exchange one of this user's for another."""
+    here = Path.cwd()
+    for folder in map(os.stat, (here, *here.parents)):
+        if not is_ours(folder) or (others_write(folder) and not folder.st_mode & stat.S_ISVTX):
+            return Path.home()
+    return here
 
 
 def certificate(directory: Path) -> Security:

@@ -74,11 +74,24 @@ def test_what_slurm_is_told(tmp_path, monkeypatch):
         "export MKL_NUM_THREADS=1",
         "export NUMBA_NUM_THREADS=1",
         "export DASK_TEMPORARY_DIRECTORY=$(mktemp -d)",
+        "trap : TERM",
     ):
         assert script.splitlines().count(line) == 1
     assert re.search(r" --nthreads 1 --memory-limit 3\.00GiB --nworkers 8 ", script)
     assert "--mem=" not in script  # sbatch takes one of the two
     assert "--worker-class stickslip.pipeline.running.cluster.QuietWorker" in script
+
+
+@pytest.mark.parametrize(("above", "mode", "is_there"), [
+    (0o755, 0o755, True), (0o755, 0o775, False), (0o777, 0o755, False), (0o1777, 0o700, True), (0o755, 0o1777, True),
+])  # fmt: skip
+def test_a_certificate_lies_where_nobody_else_can_exchange_it(above, mode, is_there, tmp_path, monkeypatch):
+    (here := tmp_path / "above" / "here").mkdir(parents=True)
+    here.parent.chmod(above)
+    here.chmod(mode)
+    monkeypatch.chdir(here)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert slurm._shared() == (here if is_there else tmp_path)
 
 
 @pytest.mark.parametrize(
