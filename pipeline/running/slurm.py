@@ -108,6 +108,7 @@ def job_settings(workers: int, options: Sequence[str]) -> dict[str, Any]:
     how_long = ["--lifetime", f"{seconds - margin - stagger}s", "--lifetime-stagger", f"{stagger}s"]
     no_pages = ["--no-dashboard", "--worker-class", f"{QuietWorker.__module__}.{QuietWorker.__qualname__}"]
     prologue = [f"export {name}={value}" for name, value in ONE_THREAD.items()]
+    prologue += ["export PYTHONSAFEPATH=1"]  # `python -m` runs whatever module lies where the job starts
     # of its own: workers look for modules there, and the shared one belongs to whoever came first
     prologue += ["export DASK_TEMPORARY_DIRECTORY=$(mktemp -d)", "trap 'rm -rf \"$DASK_TEMPORARY_DIRECTORY\"' EXIT"]
     prologue += ["trap : TERM"]  # which all of a job are sent: first end the workers, which still use it

@@ -74,6 +74,7 @@ def test_what_slurm_is_told(tmp_path, monkeypatch):
         "export MKL_NUM_THREADS=1",
         "export NUMBA_NUM_THREADS=1",
         "export DASK_TEMPORARY_DIRECTORY=$(mktemp -d)",
+        "export PYTHONSAFEPATH=1",
         "trap : TERM",
     ):
         assert script.splitlines().count(line) == 1
