@@ -15,7 +15,7 @@ class Code(Enum):
 
     FAILED = 1, "{n:,} of {of:,} runs failed and are left out."
     DRIFT = 1, "{what}{where} still drifts after t_burn = {t_burn:g}: lengthen the runs, and raise t_burn."
-    DIVERGED = 2, "The motion grew without limit in {n:,} of {of:,} runs{where}; estimates are of the others."
+    DIVERGED = 2, "Motion grew without limit in {n:,} of {of:,} runs{where}; means after t_burn are of the others."
     SETTLED = 2, "{n:,} of {of:,} runs ended in steady sliding; {what} is of the others."
     NOT_MOVING = 2, "{n:,} of {of:,} runs are not in motion; {what} is of the others."
     MISFIT = 3, "A damped oscillator misses the slow spectrum{where} (p-value {p}{among}): period and Q are rough."

@@ -463,8 +463,8 @@ def _law(law: Law, is_brief: bool) -> Clauses:
     level, predicate = law.parameter, law.predicate
     subject = level.where.head + law.subject
     if law.fit is Fit.FAILS:
-        far = "; ".join(_level(replace(law.departure or level, where=EVERYWHERE)))
-        return (f"{subject} do not {predicate} ({far})",)
+        far = [] if law.departure is None else _level(replace(law.departure, where=EVERYWHERE))
+        return (f"{subject} do not {predicate}" + f" ({'; '.join(far)})" * bool(far),)
     if law.fit is Fit.OPEN:
         return f"whether {law.subject}{level.where.tail} {predicate} is open", *_level(level, is_brief)
     if law.fit is Fit.CLOSE:

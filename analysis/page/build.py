@@ -228,7 +228,7 @@ def _provenance(
     measured = f"in {settings.units}" if settings.units else "dimensionless"
     texts = [
         f"Statistics use t = {settings.at(settings.t_burn)} to the end of each run. Intervals are"
-        f" {100 * settings.confidence:g}% intervals over independent {units}: Wilson for shares, Greenwood for"
+        f" {100 * settings.confidence:g}% intervals over independent {units}: Wilson for shares and"
         f" survival, jackknife otherwise. Quantities are {measured}. {law}".rstrip(),
         *(f"Not answered: {page.title} {text}" for page in lacking for text in page.lead),
     ]

@@ -17,7 +17,7 @@ from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.groups import Group
 from stickslip.analysis.page import FINDINGS
 from stickslip.analysis.page.data import data_table
-from stickslip.analysis.page.layout import MOST_FIRST, Panel, Section, Table, findings_table, is_row
+from stickslip.analysis.page.layout import MOST_FIRST, MOST_ROWS, Panel, Section, Table, findings_table, is_row
 from stickslip.analysis.questions import question
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import pdf, svg
@@ -112,7 +112,8 @@ class Part(NamedTuple):
     @property
     def head(self) -> Table:
         """The first rows, for the first screen."""
-        return findings_table(self.rows, f"\u201c{self.title}\u201d below", MOST_FIRST)
+        in_section = [*filter(is_row, self.rows)][:MOST_ROWS]
+        return findings_table(in_section, f"\u201c{self.title}\u201d below", MOST_FIRST)
 
     def section(self, on_first: Sequence[Panel], is_said: bool, is_shown: bool) -> Section:
         """Folded, without what the first screen says and shows."""

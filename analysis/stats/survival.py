@@ -10,7 +10,7 @@ from scipy import special
 
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.estimates import Estimate
-from stickslip.analysis.stats.shares import Scatter, wilson, wilsons
+from stickslip.analysis.stats.shares import Scatter, wilsons
 
 SHARE_ROUNDING = 1e-9  # of a product of shares, such as 5/6 4/5 3/4, which is one half
 ROUNDING = 1e-12  # of a sum over units, relative to its terms
@@ -21,10 +21,11 @@ Curve = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def kaplan_meier(times: np.ndarray, ended: np.ndarray, confidence: float, units: np.ndarray | None = None) -> Curve:
-    """Share that has not ended by a time, with Greenwood's interval on the log-log scale.
+    """Share that has not ended by a time, with Wilson's interval for an effective number of runs.
 
-    Of runs of the same unit, which are not independent, the interval is Wilson's for an effective number of runs, as
-    of `shares.share_over_matrices`: whatever did not end is then to be followed until the last end.
+    The number is that of a share which scatters as far as Greenwood's formula says (Rothman 1978): all, if none is
+    censored before the last end. Of runs of the same unit, which are not independent, it is that of
+    `shares.share_over_matrices`: whatever did not end is then to be followed until the last end.
 
     Parameters
     ----------
@@ -37,20 +38,16 @@ def kaplan_meier(times: np.ndarray, ended: np.ndarray, confidence: float, units:
     Returns
     -------
     t, share, low, high : ndarray
-        Values from time 0 and from the time of each end on. Where the share is 0 or 1, Greenwood's interval has no
-        width and Wilson's replaces it.
+        Values from time 0 and from the time of each end on.
     """
     t, n_at_risk, n_ends, share = risks(times, ended)
-    if units is not None and _are_shared(units):
+    if units is not None and not pd.Index(units).is_unique:
         trials = _scatter(t, share, times, ended, units).at(student.half_width(confidence, np.inf))
-        return t, share, *wilsons(share, trials, confidence)
-    with np.errstate(divide="ignore", invalid="ignore"):  # where the interval has no width
-        variance = np.cumsum(n_ends / (n_at_risk * (n_at_risk - n_ends)))
-        half = student.half_width(confidence, np.inf) * np.sqrt(variance) / np.log(share)
-        low, high = share ** np.exp(-half), share ** np.exp(half)
-    for k in np.flatnonzero((share == 0) | (share == 1)):
-        low[k], high[k] = wilson(share[k] * len(times), len(times), confidence)
-    return t, share, low, high
+    else:
+        with np.errstate(divide="ignore", invalid="ignore"):  # a share of 0 or 1 does not scatter
+            variance = np.cumsum(n_ends / (n_at_risk * (n_at_risk - n_ends)))  # over the share squared
+            trials = np.where((share > 0) & (share < 1), (1 - share) / (share * variance), len(times))
+    return t, share, *wilsons(share, trials, confidence)
 
 
 def risks(times: np.ndarray, ended: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -63,11 +60,6 @@ def risks(times: np.ndarray, ended: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     at_end = np.sort(times[ended])
     n_ends = np.searchsorted(at_end, t, side="right") - np.searchsorted(at_end, t, side="left")
     return t, n_at_risk, n_ends, np.cumprod((n_at_risk - n_ends) / np.maximum(n_at_risk, 1))
-
-
-def _are_shared(units: np.ndarray) -> bool:
-    """Whether a unit has several runs."""
-    return not pd.Index(units).is_unique
 
 
 def _scatter(t: np.ndarray, share: np.ndarray, times: np.ndarray, ended: np.ndarray, units: np.ndarray) -> Scatter:
@@ -124,7 +116,7 @@ def median(times: np.ndarray, ended: np.ndarray, confidence: float, units: np.nd
     value = float(t[np.argmax(is_reached)]) if is_reached.any() else None
     reason = "fewer than half have ended" if value is None else ""
     never = np.where(ended, times, np.inf)
-    if units is not None and _are_shared(units):
+    if units is not None and not pd.Index(units).is_unique:
         t, _, below, _ = kaplan_meier(times, np.ones(len(times), dtype=bool), confidence, units)
         until, _, _, above = kaplan_meier(never, ended, confidence, units)
         below_half, above_half = np.flatnonzero(below <= 0.5), np.flatnonzero(above > 0.5)

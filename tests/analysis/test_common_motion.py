@@ -252,8 +252,9 @@ def test_a_common_mode_of_blocks_is_said_with_its_share_and_the_goodness_of_its_
     found = collective.answer(study)
     law = found.findings[0]
     assert re.match(
-        r"Blocks move together slowly(, but not as a damped oscillator)?"
-        r" \([\d.]+% of the variance\): natural period [\d.]+ \([\d.]+ to [\d.]+\)\.",
+        r"Blocks move together slowly, (but not as a damped oscillator \([\d.]+% of the variance\): period of the fit"
+        r" [\d.]+|(strongly )?damped \([\d.]+% of the variance\): Q = [\d.]+, natural period [\d.]+"
+        r" \([\d.]+ to [\d.]+\))\.",
         sentence(law),
     )
     assert law.scope.quantity.name.startswith("share of the variance of the number of sticking blocks")
@@ -261,12 +262,12 @@ def test_a_common_mode_of_blocks_is_said_with_its_share_and_the_goodness_of_its_
     motion = slow_motion(study, study.groups[0])
     levels = [law.parameter, law.departure, *(finding for finding in found.findings if isinstance(finding, Level))]
     value_of = {level.quantity.key: level.estimate.value for level in levels}
-    assert law.scope.estimate == motion.fit.estimates["share"]
+    assert law.scope.estimate.value == motion.fit.estimates["share"].value
     for name in ("quality", "period"):
         assert value_of[name] == motion.fit.estimates[name].value
     assert value_of["deviance"] == motion.goodness.deviance
     assert [alert.code for alert in found.alerts] == ([Code.MISFIT] if motion.goodness.p_value < 0.05 else [])
-    assert f"{motion.goodness.dof} degrees of freedom" in found.figures["collective"].caption
+    assert f"{motion.goodness.dof} degrees of freedom, p-value " in str(law.departure.where)
     assert found.figures["collective"].recipe().axes
     (alone,) = scene.question(study).findings
     assert alone.reason is Reason.ONE_VALUE
@@ -289,7 +290,12 @@ def test_the_settings_that_the_fit_misses_are_named_whichever_leads(planted, rng
         "belt_speed = -0.2": Fit.HOLDS, "belt_speed = -0.15": Fit.HOLDS, "belt_speed = -0.1": Fit.CLOSE,
     }  # fmt: skip
     assert [law.departure.estimate.value for law in laws.values()] == [*deviances.values()]
-    assert "but not as a damped oscillator" in sentence(laws["belt_speed = -0.1"])
+    fits, missed = laws["belt_speed = -0.2"], laws["belt_speed = -0.1"]
+    assert "but not as a damped oscillator" in sentence(missed)
+    assert (missed.parameter.estimate.low, missed.scope.estimate.high) == (None, None), "of no law that holds"
+    assert re.search(r"slowly, (strongly )?damped .*: Q = [\d.]+, natural period [\d.]+ \(", sentence(fits))
+    (legend,) = found.figures["collective"].recipe().legends
+    assert [": Q = " in text.get_text() for text in legend.get_texts()] == [True, True, False]
     (alert,) = found.alerts
     assert str(alert).startswith(
         "A damped oscillator misses the slow spectrum at belt_speed = -0.1 (p-value 0.0084 among 3 settings)"

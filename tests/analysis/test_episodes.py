@@ -213,6 +213,7 @@ def test_a_cut_off_and_an_exponential_are_told_from_a_power_law(planted_episodes
     assert laws["cut off"].parameter.estimate.low < 0.5 < laws["cut off"].parameter.estimate.high
     assert laws["exponential"].fit is Fit.FAILS
     assert laws["exponential"].parameter.estimate.value == pytest.approx(21.0, rel=0.05)
+    assert "mean moment" not in sentence(laws["exponential"]), "it says nothing about the law"
 
 
 def as_moving(data):
@@ -556,8 +557,12 @@ def test_creep_that_is_rounding_is_a_limit(planted_episodes, planted, settings, 
     slipped = table.groupby("member_id")["moment"].cumsum() - table["moment"]
     carried = -(200 * 0.2 * (1 - creep) * table["start"] - slipped)
     answer = asked(replace(data, episodes=table.assign(z_sum=carried)), settings)
-    (said,) = (sentence(level) for level in of_kind(answer, Level) if level.quantity is episodes.WORDS[CREEP])
-    assert said.endswith(words)
+    of_travel = [episodes.WORDS[name] for name in (SLIP, STORED, CREEP)]
+    said = [level for level in of_kind(answer, Level) if level.quantity in of_travel]
+    assert [level.quantity for level in said] == [*of_travel[:2], of_travel[0], of_travel[2]], (
+        "parts of one travel together"
+    )
+    assert sentence(said[-1]).endswith(words)
 
 
 def hues_of(figure):
@@ -586,6 +591,8 @@ def test_the_page_draws_its_figures(planted_episodes, planted, settings):
     engines = EXACT | {"sigmoid": (planted.sigmoid, 1.2)}
     made = build(planted_episodes(engines), replace(settings, question=("episodes",)), "A chain", "", {})
     assert {"magnitudes", "recurrence"} <= made.figures.keys()
+    assert re.match(r"Large events \(M ≥ [-\d.]+, exact\) come at times ", made.figures["recurrence"].caption)
+    assert made.figures["magnitudes"].caption.startswith("Lines: power laws, each on its range. Above: ")
     assert "magnitudes" in build(planted_episodes(EXACT), settings, "A chain", "", {}).figures
 
 

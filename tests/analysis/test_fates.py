@@ -9,7 +9,7 @@ import pytest
 
 from stickslip.analysis import AnalysisSettings, Study
 from stickslip.analysis.findings.alerts import Code
-from stickslip.analysis.findings.finding import Lack, Level, Lifetime, Regime, Share
+from stickslip.analysis.findings.finding import Lack, Level, Lifetime, Regime, Share, levels
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models.fates import (
     COLLAPSED,
@@ -40,11 +40,39 @@ def test_survival_against_the_textbook():
     t, share, low, high = kaplan_meier(np.array(ended + censored, dtype=float), np.arange(21) < 9, 0.95)
     assert t.tolist() == [0, 6, 7, 10, 13, 16, 22, 23]
     assert share == pytest.approx([1, 0.857, 0.807, 0.753, 0.690, 0.627, 0.538, 0.448], abs=5e-4)
-    # Greenwood's error of S(23) is 0.135 (ibid.); on the log-log scale 0.188 to 0.680
-    assert (low[-1], high[-1]) == pytest.approx((0.188, 0.680), abs=1e-3)
+    # Greenwood's error of S(23) is 0.135 (ibid.): Rothman's interval, with z^2 over the effective number of runs
+    of_z = 1.96**2 * 0.135**2 / (0.448 * 0.552)
+    half_width = 1.96 * 0.135 * np.sqrt(1 + of_z / (4 * 0.448 * 0.552))
+    expected = [(0.448 + of_z / 2 + sign * half_width) / (1 + of_z) for sign in (-1, 1)]
+    assert [low[-1], high[-1]] == pytest.approx(expected, abs=2e-3)
     half = median(np.array(ended + censored, dtype=float), np.arange(21) < 9, 0.95)
     # of 21 tosses at most 5 are heads with 0.013, at most 6 with 0.039: the sixth smallest, 9, on
     assert (half.value, half.low, half.high) == (23, 9, None)
+
+
+def test_a_share_has_one_interval_on_its_curve_and_in_the_table(planted):
+    """Three of four still stick at the end, and one slides without a proof."""
+    plan = {20: [QUIET] * 4, 100: [QUIET] + [SUSTAINED] * 3}
+    answered = asked(of_sizes(planted, plan))
+    (share,) = [one for one in of_kind(answered, Share) if one.key == SUSTAINED]
+    t_last, t_end = np.full(4, 50.0), np.full(4, 1000.0)
+    curve = survival(np.array(plan[100]), t_last, t_end, t_end, 0.95).curve
+    assert tuple(float(column[-1]) for column in curve[1:]) == ends(share.estimate)
+    assert ends(share.estimate) == (0.75, 0.301, 1.0)
+    n_left = np.array([4, 3, 2, 1, 0])
+    _, _, *band = kaplan_meier(np.arange(1.0, 5.0), np.full(4, True), 0.95)
+    assert np.transpose(band) == pytest.approx(np.array([wilson(n, 4, 0.95) for n in n_left]))
+
+
+def test_what_runs_do_has_one_name_in_sentences_and_tables(planted):
+    """Sliding that may yet end is said with its time at both settings, also where some go on."""
+    answered = asked(of_sizes(planted, {20: [QUIET] * 4, 100: [QUIET] * 3 + [SUSTAINED]}))
+    names = {row.quantity.name for finding in answered.findings for row in levels(finding)}
+    assert {name for name in names if "may stick again" in name} == {
+        "share of runs that slide at t = 1000 but may stick again"
+    }
+    caption = answered.figures["survival"].caption
+    assert caption.startswith("Curves fall at last events, proved to be last or not. Share of runs that still stick;")
 
 
 def test_runs_of_one_unit_count_together_in_the_interval_of_survival(rng):

@@ -7,6 +7,7 @@ from importlib import import_module
 import numpy as np
 import pytest
 
+from stickslip.analysis.answer import Answer
 from stickslip.analysis.findings.finding import (
     Alike,
     Attracting,
@@ -42,6 +43,7 @@ from stickslip.analysis.findings.numbers import limit, number, span, with_interv
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital, place_of, sentence
 from stickslip.analysis.page.layout import findings_table
+from stickslip.analysis.page.parts import Part
 from stickslip.analysis.page.parts import row as row_of
 from stickslip.analysis.questions.runs import settled
 from stickslip.analysis.stats.estimates import Estimate
@@ -333,6 +335,13 @@ def test_a_table_names_once_what_all_settings_share_and_breaks_none_of_its_parts
     assert table.caption == "All at n = 200."
     assert [row[table.head.index("where")] for row in table.rows] == [f"eps\u00a0=\u00a0{k}" for k in range(30)]
     assert findings_table(rows[:1]).rows[0][1] == "n\u00a0=\u00a0200, eps\u00a0=\u00a00"
+
+
+def test_the_first_screen_counts_the_rows_that_are_below():
+    rows = [Level(GAMMA, Estimate(0.7), Place.key("n", f"{k}")) for k in range(40)]
+    below = Part("a", "What?", Answer(rows[:1]), [], ["It is."], rows)
+    assert below.head.note == "28 more rows in \u201cWhat?\u201d below."
+    assert below.section([], True, False).table.note == "4 more rows in report/findings.json."
 
 
 def test_symbols_begin_sentences_as_they_are():

@@ -16,8 +16,9 @@ from stickslip.analysis.members import records
 from stickslip.analysis.models import pool
 from stickslip.analysis.questions.runs.engines import between_engines
 from stickslip.analysis.questions.slips import cascade_definitions, cascades
+from stickslip.analysis.questions.slips.cascade_figures import Size, departure
 from stickslip.analysis.stats.components import between
-from stickslip.analysis.stats.estimates import LN2, gamma, over_matrices
+from stickslip.analysis.stats.estimates import LN2, Estimate, gamma, over_matrices
 from tests.analysis import studies
 from tests.analysis.blocks import coupled_blocks
 from tests.analysis.designs import Data
@@ -154,6 +155,20 @@ def test_too_little_data_has_reasons(planted, settings, rng):
     assert lack(Study(Data(planted.ensemble({"coulomb": 0.7}, 6)[0], still), settings)) is Reason.NO_MOTION
 
 
+@pytest.mark.parametrize(("bend", "two_state", "words"), [
+    (0.8, 0.8, "From s = 4 on shares (exact) lie below the fitted geometric distribution, as those"),
+    (0.8, 1.0, "From s = 4 on shares (exact) lie below the fitted geometric distribution. "), (1.0, 1.0, ""),
+])  # fmt: skip
+def test_the_figure_says_from_which_size_on_shares_leave_the_fit(bend, two_state, words):
+    shares = {size: 0.5**size * (bend if size > 3 else 1.0) for size in range(1, 8)}
+    sizes = [
+        Size("exact", size, 1000, Estimate(share, 0.95 * share, 1.05 * share), 0.5**size, 0.5**size * two_state)
+        for size, share in shares.items()
+    ]
+    assert departure(sizes, " (exact)").startswith(words)
+    assert bool(departure(sizes, "")) is bool(words)
+
+
 def test_runs_that_ended_are_an_alert(planted, settings):
     members, series = planted.ensemble({"coulomb": LN2}, 8)
     ended = planted.member("c1", 8, outcome="collapsed", reason="certified", t_stop=50.0)
@@ -172,8 +187,12 @@ def test_settings_beside_the_lead_are_levels_with_their_setting(planted, rng):
     ]
     assert {level.comparison.other for level in others} == {cascades.COIN, cascades.SHIFTED, cascades.TWO_STATE}
     assert list(answer.figures) == ["size_law", "decay_rates", "one_run"]  # one sampling step gives no curve
+    law, each, run = (picture.caption for picture in answer.figures.values())
+    assert "dotted: independent two-state blocks" in law
+    assert law.endswith("1 of 2 settings are drawn.")
+    assert re.search(r"The systems (are not shown to )?differ beyond sampling error \([^)]+%", each)
+    assert run.endswith("at n = 40. Grey: before t_burn.")
     for picture in answer.figures.values():
-        assert picture.caption
         assert picture.recipe().axes
 
 

@@ -104,6 +104,9 @@ def test_rates_have_their_sign(rng, planted, settings, rate, verdict):
     assert lead.estimate.low < 1 / abs(rate) < lead.estimate.high
     assert isinstance(parted, Lifetime)
     assert list(found.figures) == ["growth"]
+    assert "up to a distance of 0.03" in found.figures["growth"].caption
+    (legend,) = found.figures["growth"].recipe().legends
+    assert [text.get_text() for text in legend.get_texts()] == ["n = 200, exact, initial distance 1e-6"]
 
 
 def test_a_rate_that_may_be_zero_is_a_rate(rng, planted, settings):

@@ -34,7 +34,6 @@ from stickslip.analysis.models.attractors import (
 from stickslip.analysis.models.fates import LULL, QUIET, SUSTAINED, UNMOVED
 from stickslip.analysis.questions.runs.settled import (
     OUTCOMES,
-    PREDICATES,
     Grid,
     Portion,
     Runs,
@@ -303,13 +302,14 @@ def _survival(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> Pictur
         for same in alike.values()
     }
     t_end = max(setting.t_end for setting in settings)
-    level = f", with {100 * study.settings.confidence:g}% intervals where some end and some do not"
+    level = f"; bands: {100 * study.settings.confidence:g}% intervals, of curves that end between 0 and 100%"
     level *= any(map(_has_band, named_curves.values()))
-    kinds = {kind for setting in chosen for kind in setting.runs.said}
-    ends = [PREDICATES[kind] for kind in (SLIDING, ESCAPING) if kind in kinds]
-    see = f"Curves fall as runs {listed(ends, 'or')}. " if ends else ""
+    kinds = {kind for setting in chosen for kind in setting.runs.kinds}
+    slides = f"at last events{', proved to be last or not,' * (QUIET in kinds)}"
+    ends = [slides] * bool(kinds & {SLIDING, QUIET}) + ["where motion grows without limit"] * (ESCAPING in kinds)
+    see = f"Curves fall {listed(ends).removesuffix(',')}. " if ends else ""
     count = f" {len(chosen)} of {len(settings)} settings are drawn." * (len(chosen) < len(settings))
-    caption = f"{see}Share of runs still going{level}.{count}"
+    caption = f"{see}Share of runs that still stick{level}.{count}"
     colours = hues(study, [chosen[same[0]].groups[0].label for same in alike.values()])
     return Picture(partial(survival_curves, named_curves, colours, t_end, study.settings.units), caption)
 
@@ -331,7 +331,7 @@ def survival_curves(
         ax.step(t, share, where="post", color=hue, label=signs(label))
         if _has_band(curve):
             ax.fill_between(t, low, high, share < 1.0, step="post", color=hue, alpha=0.15, linewidth=0)
-    ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), ylabel="share of runs still going")
+    ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), ylabel="share of runs that still stick")
     ax.set_xlabel(units.label("time t", "time"))
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
     if len(curves) > 1:

@@ -89,7 +89,7 @@ METHOD_OF_ENDS = (
     "Steady sliding ends where an eigenvalue of the all-slip system crosses. A cycle is followed by Newton's method"
     " until its multiplier comes to 1 (instability), or a block just fails to stick (grazing), or it is not found."
     " Such ends do not depend on the length of runs; other stick-slip is followed from run to run. The last digit of"
-    " an end is about as wide as the interval to which it is bisected (`refine` in the scene)."
+    " an end is about as wide as the interval to which it is bisected (refine in the scene)."
 )
 
 
@@ -383,18 +383,15 @@ def _alerts(study: Study, grid: Grid, ends: Sequence[Ends], short: Sequence[Grou
         for group in groups
         if group.basis(level).code == enough.FEW_MATRICES and group.n_moving > 1
     ]
-    alerts = []
-    if n_failed:
-        alerts.append(Alert.of(Code.FAILED, n=n_failed, of=len(study.data.table.unchanged)))
-    if short:
-        settings = [group.label for group in short]
-        alerts.append(drift("The number of sticking blocks", settings, study.settings.t_burn))
-    if n_open > MOST_OPEN * n_recorded:
-        alerts.append(Alert.of(Code.UNDECIDED, n=n_open, of=n_recorded))
-    if n_quiet:
-        alerts.append(Alert.of(Code.UNCERTIFIED, n=n_quiet, of=n_runs))
-    if n_lull:
-        alerts.append(Alert.of(Code.TEMPORARY, n=n_lull, of=n_runs))
+    drifting = drift("The number of sticking blocks", [group.label for group in short], study.settings.t_burn)
+    raised = (
+        (n_failed, Alert.of(Code.FAILED, n=n_failed, of=len(study.data.table.unchanged))),
+        (short, drifting),
+        (n_open > MOST_OPEN * n_recorded, Alert.of(Code.UNDECIDED, n=n_open, of=n_recorded)),
+        (n_quiet, Alert.of(Code.UNCERTIFIED, n=n_quiet, of=n_runs)),
+        (n_lull, Alert.of(Code.TEMPORARY, n=n_lull, of=n_runs)),
+    )
+    alerts = [alert for is_raised, alert in raised if is_raised]
     if n_units and n_units[0] > 1:
         alerts.append(Alert.of(Code.FEW, n=n_units[0], units=f"{noun(study.unit)}s"))
     return alerts[:3]

@@ -44,6 +44,7 @@ def _method(study: Study) -> str:
         f" {CEILING:g}; none is given where more than a tenth of the pairs leave that range. Copies have parted when"
         f" |difference of n_stick|, averaged over {parting.SPAN * settings.time:g} {unit}, first reaches"
         f" {100 * parting.SHARE:g}% of what two systems show after t_burn while both are followed."
+        " A pair is followed until the motion of one of its runs grows without limit."
     )
 
 
@@ -252,8 +253,8 @@ def _figures(study: Study, rates: Sequence[Rate]) -> dict[str, Picture]:
     if not rates:
         return {}
     caption = (
-        "How initial differences grow or shrink: distance of each system's copy from the original, over the initial"
-        " distance, while they are proportional. Heavy: the fitted rate, over its range."
+        "Lines rise where copies leave the original, and fall where they return: distance over initial distance, a"
+        f" line a pair, up to a distance of {CEILING:g}. Heavy: the fitted rate, over its range."
     )
     colours = hues(study, [rate.setting.label for rate in rates])
     return {"growth": Picture(partial(distances, rates, colours, study.settings.units), caption)}
@@ -267,7 +268,8 @@ def distances(ax: Axes, rates: Sequence[Rate], colours: Sequence[str], units: Un
         form = ("-", "--", ":")[sizes.index(rate.size) % 3]
         for t, distance in rate.in_proportion:
             ax.plot(t, distance, form, color=colour, linewidth=0.5, alpha=0.5)
-        ax.plot(*rate.fit, form, color=colour, linewidth=2.2, label=f"{rate.setting.label}: {shown(rate.size)}")
+        label = f"{rate.setting.label}, initial distance {shown(rate.size)}"
+        ax.plot(*rate.fit, form, color=colour, linewidth=2.2, label=label)
     ax.set(yscale="log", xlabel=units.label("time t", "time"), ylabel="distance / initial distance")
     ax.figure.legend(loc="outside lower center", ncols=1)
 

@@ -283,12 +283,12 @@ def told_apart(study: Study, runs: Runs) -> Runs:
 
 
 def predicates(study: Study, outcomes: Sequence[Outcome], settings: Sequence[Setting]) -> tuple[str, ...]:
-    """What runs at some settings do, a verb phrase each; the last that may yet change says when."""
+    """What runs at some settings do, a verb phrase each; the first that may yet change says when."""
     words = [_words(outcome, settings) for outcome in outcomes]
     ends = {setting.t_end for setting in settings}
     when = f" at t = {study.settings.at(ends.pop())}" if len(ends) == 1 else " at their end"
-    last = max((k for k, word in enumerate(words) if "{}" in word), default=0)
-    return tuple(word.format(when if k == last else "") for k, word in enumerate(words))
+    first = next((k for k, word in enumerate(words) if "{}" in word), 0)
+    return tuple(word.format(when if k == first else "") for k, word in enumerate(words))
 
 
 def _words(outcome: Outcome, settings: Sequence[Setting]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import takewhile
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,10 +37,8 @@ class Size(NamedTuple):
     @property
     def is_known(self) -> bool:
         """Whether the share is known well enough to be drawn relative to p = 1/2."""
-        value, low, high = self.share.value, self.share.low, self.share.high
-        if not self.is_seen or value is None or low is None or high is None:
-            return False
-        return high - low < 2 * SHOWN * value
+        value, low, high = self.share.value or 0.0, self.share.low or 0.0, self.share.high or 1.0
+        return self.is_seen and high - low < 2 * SHOWN * value
 
 
 class Largest(NamedTuple):
@@ -64,7 +63,6 @@ def one_run(
     t, n_stick = np.append(t, t_stop), np.append(n_stick, n_stick[-1])
     ax.step(t, n_stick, where="post", color=EXACT, linewidth=0.5, rasterized=True)
     ax.axvspan(0, t_burn, color=GREY, alpha=0.13, linewidth=0)
-    ax.text(t_burn / 2, 0.02, "left out", transform=ax.get_xaxis_transform(), ha="center", color=GREY)
     ax.set(xlim=(0, max(t_stop, t_burn)), ylim=(0, None), ylabel="sticking blocks")
     ax.set_xlabel(units.label("time t", "time"))
     if largest is None:
@@ -106,6 +104,15 @@ def shown(laws: Mapping[str, Sequence[Size]]) -> dict[str, list[Size]]:
     return {
         label: [size for size in sizes if (size.is_known if split else size.is_seen)] for label, sizes in laws.items()
     }
+
+
+def departure(drawn: Sequence[Size], of_which: str) -> str:
+    """From which size on all shares lie below the fit, if two or more do, and whether two-state blocks have them."""
+    tail = [*takewhile(lambda size: (size.share.high or 1.0) < (size.fit or 0.0), reversed(drawn))]
+    alike = all((size.share.low or 0.0) <= (size.pool or 0.0) <= (size.share.high or 1.0) for size in tail)
+    beside = ", as those of independent two-state blocks" * alike
+    below = f"shares{of_which} lie below the fitted geometric distribution"
+    return f"From s = {tail[-1].size} on {below}{beside}. " if len(tail) > 1 else ""
 
 
 def _size_law(

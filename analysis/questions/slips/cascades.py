@@ -30,7 +30,7 @@ from stickslip.analysis.findings.finding import (
     Quantity,
     Reason,
 )
-from stickslip.analysis.findings.numbers import with_interval
+from stickslip.analysis.findings.numbers import signs, with_interval
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS
@@ -209,14 +209,13 @@ def answer(study: Study) -> Answer:
     leading = _findings(study, lead, where[lead.group.label])
     findings = [rate for entry in others for rate in _rates(study, entry, where[entry.group.label])]
     findings.sort(key=lambda rate: rate.quantity is not RATE)  # beside ln 2 first
-    curves = [entry for entry in with_rate if entry.n == lead.n][:MOST_DRAWN]
     definitions = cascade_definitions.compared(study, lead.group)
     return Answer(
         findings=[*([] if drifting is None else [drifting]), *leading, *findings],
         n_lead=min(3, len(leading) + (drifting is not None)),
         alerts=_alerts(study, lead, [entry.group for entry in with_rate]),
         tables={**tables, **definitions.tables},
-        figures={**_figures(study, lead, curves, sizes), **definitions.figures},
+        figures={**_figures(study, lead, with_rate, sizes), **definitions.figures},
         method=_method(study),
     )
 
@@ -366,9 +365,8 @@ def _alerts(study: Study, lead: Sums, known: Sequence[Group]) -> list[Alert]:
     n = {fate: int(np.count_nonzero(ends == fate)) for fate in (fates.COLLAPSED, fates.QUIET)}
     grown = [group for group in known if fates.DIVERGED in group.fates]
     n_grown = sum(int(np.count_nonzero(group.fates == fates.DIVERGED)) for group in grown)
-    where = ""
-    if grown and len(study.groups) > 1:
-        where = f" at {grown[0].label}" if len(grown) == 1 else f" at {len(grown)} settings"
+    which = grown[0].label if len(grown) == 1 else f"{len(grown)} settings"
+    where = f" at {which}" * (len(study.groups) > 1)
     alerts = [
         Alert.of(Code.SETTLED, n=n[fates.COLLAPSED], of=n_runs, what="the law of cascade sizes"),
         Alert.of(Code.DIVERGED, n=n_grown, of=sum(map(len, grown)), where=where),
@@ -417,46 +415,45 @@ def _sizes(sums: Sums, confidence: float) -> list[Size]:
     ]
 
 
-def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Mapping[str, list[Size]]) -> dict[str, Picture]:
+def _figures(study: Study, lead: Sums, known: Sequence[Sums], sizes: Mapping[str, list[Size]]) -> dict[str, Picture]:
     level, burn = study.settings.confidence, f"t = {study.settings.at(study.settings.t_burn)}"
     rate, system = lead.estimate(gamma, level), systems(study)
     values, errors = of_systems(lead.parts)
+    values, errors = values[np.isfinite(errors)], errors[np.isfinite(errors)]
     half = student.half_width(level, PARTS - 1) * errors
-    of_each = [
-        Estimate(*ends) for ends in np.column_stack([values, values - half, values + half])[np.isfinite(errors)]
-    ]
+    of_each = [Estimate(*ends) for ends in np.column_stack([values, values - half, values + half])]
+    drawn = [entry for entry in known if entry.n == lead.n][:MOST_DRAWN]
     labels: Sequence[Label] = apart([sums.group.name for sums in drawn])
     of_which = f" ({labels[0]})" if labels[0] else ""
-    is_known = np.isfinite(errors)
-    lasting = between(values[is_known], errors[is_known], PARTS - 1, level)
-    scatter = ""
+    lasting, scatter = between(values, errors, PARTS - 1, level), ""
     if lasting.value is not None:
-        share = with_interval(lasting, Form.SHARE)
-        scatter = f" Share of the variance between systems beyond sampling error: {share}."
+        share = with_interval(lasting if lasting.low else Estimate(high=lasting.high), Form.SHARE)
+        differ = "differ" if lasting.low else "are not shown to differ"
+        scatter = f" The {system}s {differ} beyond sampling error ({share} of the variance)."
     laws = {
         str(label or lead.group.label): sizes[curve.group.label] for label, curve in zip(labels, drawn, strict=True)
     }
     example, largest, draw_run = _first_run(study, lead.group)
+    where = signs(places(study)[lead.group.label].tail)
     below = " Below: the same relative to p = 1/2." * cascade_figures.is_split(laws)
-    n_above = int(np.count_nonzero(values[is_known] > LN2))
-    cascade = (
-        ""
-        if largest is None
-        else f"{largest.size} slip onsets with no arrest in between: the largest cascade after {burn}, enlarged. "
-    )
+    count = f" {len(drawn)} of {len(known)} settings are drawn." * (len(drawn) < len(known))
+    dotted = " dotted: independent two-state blocks;" * (lead.pool_mean is not None)
+    see = cascade_figures.departure(next(iter(cascade_figures.shown(laws).values())), of_which)
+    enlarged = f" slip onsets with no arrest in between: the largest cascade after {burn}, enlarged. "
+    cascade = f"{largest.size}{enlarged}" if largest else ""
     return {
         "size_law": Picture(
             partial(cascade_figures.size_law, laws, rate),
-            "Share of cascades of each size. Line and band: the fitted geometric distribution with its"
-            f" {level:.0%} interval; bars: those of the shares.{below}",
+            f"{see}Share of cascades of each size. Line and band: the fitted geometric distribution with its"
+            f" {level:.0%} interval;{dotted} bars: intervals of the shares.{below}{count}",
         ),
         "decay_rates": Picture(
             partial(forest, of_each, rate, "decay rate", (LN2, COIN)),
-            f"{n_above} of {len(of_each)} estimates{of_which} lie above {COIN} (dashed), the decay rate if slip"
-            f" onset and arrest were equally likely at each event. Decay rate of each {system}, its interval from"
-            f" {PARTS} parts of its run, and of all together (diamond, band).{scatter}",
+            f"{np.sum(values > LN2)} of {len(of_each)} estimates{of_which} lie above {COIN} (dashed), the decay rate"
+            f" if slip onset and arrest were equally likely at each event. Decay rate of each {system}, its interval"
+            f" from {PARTS} parts of its run, and of all together (diamond, band).{scatter}",
         ),
-        "one_run": Picture(draw_run, f"{cascade}Line: the run of {system} {example}."),
+        "one_run": Picture(draw_run, f"{cascade}Line: the run of {system} {example}{where}. Grey: before t_burn."),
     }
 
 
@@ -470,8 +467,7 @@ def _first_run(study: Study, group: Group) -> tuple[int, cascade_figures.Largest
         largest = cascade_figures.Largest(int(cascades.size[k]), float(cascades.start[k]), float(cascades.stop[k]))
     t, n_stick = study.runs.points(member_id)
     of_run = t, n_stick, win.t_stop, study.settings.t_burn, largest, study.settings.units
-    draw = partial(cascade_figures.one_run, *of_run)
-    return group.units[row], largest, draw
+    return group.units[row], largest, partial(cascade_figures.one_run, *of_run)
 
 
 QUESTION = Question(

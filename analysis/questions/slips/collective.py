@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from math import pi
 
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullLocator
@@ -38,8 +39,8 @@ PERIOD = Quantity("period", "natural period of slow common motion", dimension="t
 SHARE = Quantity("share", f"share of the variance of {N_STICK} that comes from slow common motion", Form.SHARE)
 DEVIANCE = Quantity("deviance", "deviance of the slow spectrum from the fit")
 _METHOD = (
-    "Time-shifted blocks are each block's own history, shifted by a random time; slow common motion, with"
-    f" periods over {CYCLES:g} of a block's own cycles, is shown if its power is more concentrated than in 95% of"
+    "Time-shifted blocks are each block's own history, shifted by a random time; slow common motion, with periods"
+    f" longer than {CYCLES:g} cycles of a single block, is shown if its power is more concentrated than in 95% of"
     f" {SURROGATES} such surrogates, and is fitted as a damped oscillator beside a share of the blocks' own power."
     " Up to Q = 1/2 it is overdamped; with Q near 1 the spectrum has a broad peak, and the motion loses phase within"
     " a period. Slip onsets soon after another are compared with those of time-shifted blocks, adjusted for the"
@@ -61,16 +62,17 @@ def answer(study: Study) -> Answer:
     level, lead, where_of, unit = study.settings.confidence, motions[0], places(study), systems(study)
     exits, where = exits_of(study, lead.group), where_of[lead.group.label]
     bands = {motion.group.label: motion.bands(level) for motion in motions[:MOST_GROUPS]}
-    drawn = [label for label, of_group in bands.items() if of_group]
-    named = {signs(str(where_of[label]) or label): bands[label] for label in drawn}
-    recipe = partial(spectrum, named, hues(study, drawn), study.settings.units)
     fitted = [(motion, where_of[motion.group.label]) for motion in motions if motion.is_shown]
     p_values = holm([motion.goodness.p_value for motion, _ in fitted]).tolist()
     missed = {str(place): p for (_, place), p in zip(fitted, p_values, strict=True) if p < 1 - level}
     laws = [_law(motion, place, unit, str(place) in missed) for motion, place in fitted]
+    labels = [motion.group.label for motion in motions if bands.get(motion.group.label)]
+    q_of = {motion.group.label: f": {_q(motion)}" for motion, place in fitted if str(place) not in missed}
+    named = {signs(str(where_of[label]) or label) + q_of.get(label, ""): bands[label] for label in labels}
+    recipe = partial(spectrum, named, hues(study, labels), study.settings.units)
     leading: list[Finding] = [_lacking(lead, where, study.settings)]
     if laws:
-        leading = [laws[0], Level(Q, lead.fit.estimates[Number.QUALITY], where, basis=Basis(len(lead.units), unit))]
+        leading = [laws[0], _level(Q, Number.QUALITY, lead, where, unit, str(where) in missed)]
     shares = [] if exits is None else triggered(exits, where, unit)
     pairs, basis = ((), None) if exits is None else (exits.pairs, Basis(exits.n_units, unit))
     compared = [row.level(where, basis) for row in pairs if row.observed.low is not None]
@@ -83,7 +85,7 @@ def answer(study: Study) -> Answer:
             "clustering": frame_by(CLUSTERING, pairs),
             "spectrum": frame_of(Band, (band for group in bands.values() for band in group)),
         },
-        figures={"collective": _picture(recipe, lead, where)} if named else {},
+        figures={"collective": _picture(recipe, lead, len(labels), len(motions))} if named else {},
     )
 
 
@@ -101,16 +103,28 @@ def _alerts(group: Group, missed: Mapping[str, float], n_fits: int) -> list[Aler
 
 def _law(motion: Slow, where: Place, unit: str, is_missed: bool) -> Law:
     """At what period blocks move together, how much of the variance that is, and how far data are from the fit."""
-    basis, estimates, goodness = Basis(len(motion.units), unit), motion.fit.estimates, motion.goodness
-    freedom = Place.words(f"{goodness.dof} degrees of freedom")
+    goodness, quality = motion.goodness, motion.fit.estimates[Number.QUALITY]
+    freedom = Place.words(f"{goodness.dof} degrees of freedom, p-value {goodness.p_value:.2g}")
     deviance = Level(DEVIANCE, Estimate(goodness.deviance), where + freedom)
     period, share = (
-        Level(quantity, estimates[number], where, basis=basis)
-        for quantity, number in ((PERIOD, Number.PERIOD), (SHARE, Number.SHARE))
+        _level(quantity, key, motion, where, unit, is_missed)
+        for quantity, key in ((PERIOD, Number.PERIOD), (SHARE, Number.SHARE))
     )
-    together, fit = "move together slowly", Fit.CLOSE if is_missed else Fit.HOLDS
-    nearly = f"{together}, but not as a damped oscillator"
-    return Law("blocks", together, period, fit, deviance, nearly, "natural period", share, "the variance")
+    damped = f"move together slowly, {'strongly ' * ((quality.high or pi) < pi)}damped"
+    fit, called = (Fit.CLOSE, "period of the fit") if is_missed else (Fit.HOLDS, f"{_q(motion)}, natural period")
+    nearly = "move together slowly, but not as a damped oscillator"
+    return Law("blocks", damped, period, fit, deviance, nearly, called, share, "the variance")
+
+
+def _level(quantity: Quantity, key: Number, motion: Slow, where: Place, unit: str, is_missed: bool) -> Level:
+    """A number of the fit; one that misses the spectrum has no interval."""
+    estimate = motion.fit.estimates[key]
+    shown = Estimate(estimate.value) if is_missed else estimate
+    return Level(quantity, shown, where, basis=Basis(len(motion.units), unit))
+
+
+def _q(motion: Slow) -> str:
+    return f"Q = {number(motion.fit.values[Number.QUALITY][0], digits=2)}"
 
 
 def _lacking(motion: Slow, where: Place, settings: AnalysisSettings) -> Lack:
@@ -125,20 +139,16 @@ def _lacking(motion: Slow, where: Place, settings: AnalysisSettings) -> Lack:
 # ---------------------------------------------------------------------------------------------- the figure
 
 
-def _picture(recipe: Recipe, motion: Slow, where: Place) -> Picture:
-    """Power at long periods, with the fit of slow common motion and, of the group that leads, its goodness."""
-    power = f"the power spectrum of {N_STICK}"
-    words = f"Periods are over {CYCLES:g} of a block's own cycles. Dashed: time-shifted blocks; bars: intervals"
-    if not motion.is_shown:
-        shows = "does not rise above" if motion.shown is Shown.NONE else "takes longer runs to tell from"
-        caption = f"At long periods {power} {shows} that of time-shifted blocks. {words}."
-        return Picture(recipe, caption)
-    fit, quality = motion.goodness, number(motion.fit.values[Number.QUALITY][0], digits=2)
+def _picture(recipe: Recipe, motion: Slow, n_drawn: int, n: int) -> Picture:
+    """Power at long periods beside that of time-shifted blocks, in the words of the setting that leads."""
+    shows = {Shown.SLOW: "rises above", Shown.NONE: "does not rise above"}
+    lines = "; lines: fitted damped oscillators, with Q where the fit holds" * motion.is_shown
+    count = f" {n_drawn} of {n} settings are drawn." * (n_drawn < n)
     return Picture(
         recipe,
-        f"At long periods {power} rises above that of time-shifted blocks. {words}; lines through marks: a damped"
-        f" oscillator{where.tail}{',' * bool(where)} with Q = {quality} and a deviance of {fit.deviance:.0f} on"
-        f" {fit.dof} degrees of freedom (p-value {fit.p_value:.2g}).",
+        f"At long periods the power spectrum of {N_STICK} {shows.get(motion.shown, 'takes longer runs to tell from')}"
+        f" that of time-shifted blocks. Only periods longer than {CYCLES:g} cycles of a single block are shown."
+        f" Dashed: time-shifted blocks; bars: intervals{lines}.{count}",
     )
 
 

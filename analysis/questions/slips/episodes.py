@@ -45,7 +45,7 @@ from stickslip.analysis.findings.finding import (
 )
 from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.findings.place import EVERYWHERE, Place
-from stickslip.analysis.findings.words import capital, plural
+from stickslip.analysis.findings.words import capital, listed, plural
 from stickslip.analysis.members import DRAWN
 from stickslip.analysis.methods import MAGNITUDES, Apart, compare, names, settings_of
 from stickslip.analysis.models.episodes import (
@@ -84,7 +84,7 @@ _METHOD = (
     " on the same systems: a method differs if its rate of episodes, its rate of slip onsets (t tests) or its"
     " distribution of magnitudes (permutation test) does, with p-values adjusted for the number of methods (Holm). A"
     " power law is fitted on the widest range on which the distribution functions of data and law differ by less than"
-    " 2%, or by chance; b of two datasets can be compared on one range, `[analysis] magnitude_range`."
+    " 2%, or by chance; b of two datasets can be compared on one range, [analysis] magnitude_range."
 )
 #: What follows the range of a power law in a sentence.
 BEYOND: Mapping[Kind, str] = {
@@ -107,7 +107,6 @@ WORDS: Mapping[str, Quantity] = {
 _SCOPE, _AND_ONSETS = "the rate and magnitudes of episodes", ", and the rate of slip onsets"
 ONSETS = "rate of slip onsets"
 _BY = (RATE, ONSETS, MAGNITUDES)  # what a method may differ in: the first that it does is said
-_COMPARED = (RATE, SIZE, DURATION, SLIP)
 IN_RANGE = Quantity("in_range", "share of episodes in the range of b", Form.SHARE)
 BELOW = Quantity("below_range", "share of episodes below the range of b", Form.SHARE)
 ATOM = Quantity("atom", "share of episodes with the smallest moment", Form.SHARE)
@@ -245,7 +244,7 @@ def answer(study: Study) -> Answer | None:
     lead = _lead(judged)
     leaders = [reference for reference, *_ in by_system if reference.is_judged] or [lead]
     pairs = [*compare(study, by_system), *_of_onsets(study, by_system)]
-    rates = _rates(counted, _drawn_from(leaders), level)
+    rates = _rates(counted, leaders, level)
     tables |= {
         "episode_contrasts": table_of(pair.step for pair in pairs if pair.name not in (MAGNITUDES, ONSETS)),
         "episode_methods": frame_by(_METHODS, [pair for pair in pairs if pair.name == MAGNITUDES]),
@@ -275,13 +274,7 @@ def answer(study: Study) -> Answer | None:
         findings = [*outcomes, rate, *distances, *changes, law, *beside, *others]
     elif changes:
         findings = [*changes, law, rate, *beside, *others, *distances]
-    of_lead = (STORED,) if study.data.is_loaded else (STORED, OCCUPANCY)
-    findings += _levels(counted, lead, pairs, basis, of_lead)
-    findings += [
-        _level(group, CREEP, pairs, basis)
-        for group in groups
-        if group.estimates[CREEP].value is not None and not group.group.is_exact
-    ]
+    findings += _levels(groups, lead, pairs, basis, () if study.data.is_loaded else (OCCUPANCY,))
     return Answer(
         findings=findings,
         n_lead=min(3, len(outcomes) or 3),
@@ -317,16 +310,20 @@ def _level(group: Catalogues, name: str, apart: Sequence[Apart], unit: str) -> L
 def _levels(
     groups: Sequence[Catalogues], lead: Catalogues, apart: Sequence[Apart], unit: str, of_lead: Sequence[str]
 ) -> list[Level]:
-    """Statistics of all groups, and what shows whether the drive is slow."""
-    several = [(name, group) for name in _COMPARED for group in groups if name != RATE]
-    lead_only = [(name, lead) for name in of_lead]
+    """Statistics of all groups, with what the belt's travel of each consists of together."""
+    counted = [group for group in groups if not _is_blurred(group)]
+    several = [(name, group) for name in (SIZE, DURATION) for group in counted]
+    travel = [(name, lead) for name in (SLIP, STORED, CREEP)]
+    others = [(name, group) for group in groups if group is not lead for name in (SLIP, CREEP)]
     compared = [id(pair.setting) for pair in apart]
-    rates = [(RATE, group) for group in groups if group is not lead and id(group) not in compared]
+    rates = [(RATE, group) for group in counted if group is not lead and id(group) not in compared]
     return [
         _level(group, name, apart, unit)
-        for name, group in (*rates, *several, *lead_only)
+        for name, group in (*rates, *travel, *several, *others, *((name, lead) for name in of_lead))
+        if group.estimates[name].value is not None
         # without the strain, which may fall, slip in episodes is no share of the travel
-        if group.estimates[name].value is not None and (name != SLIP or group.estimates[STORED].value is not None)
+        and (name != SLIP or (group.estimates[STORED].value is not None and not _is_blurred(group)))
+        and (name != CREEP or not group.group.is_exact)
     ]
 
 
@@ -443,7 +440,9 @@ def _picture(study: Study, group: Catalogues, where: Place) -> list[Finding]:
     span = f"M = {law.least:.1f} to {law.most:.1f}"
     if law.picture is Kind.NONE:
         mean = Level(MOMENT, _mean_moment(study, group), where, basis=basis)
-        findings: list[Finding] = [Law(moments, f"follow a power law, since {law.why}", mean, Fit.FAILS)]
+        b = Level(B_VALUE, law.b, where + Place.words(span), basis=basis)
+        far = b if law.b.high is not None and law.b.high <= 0.0 else None
+        findings: list[Finding] = [Law(moments, f"follow a power law, since {law.why}", mean, Fit.FAILS, far)]
     elif law.picture is Kind.DECLARED:
         declared = where + Place.words(f"{span}, as declared")
         findings = [replace(level, where=declared) for level in (Level(B_VALUE, law.b, basis=basis), scope)]
@@ -532,17 +531,13 @@ def _lead(judged: Sequence[Catalogues]) -> Catalogues:
     )
 
 
-def _drawn_from(leaders: Sequence[Catalogues]) -> float:
-    """The edge of a class from which magnitudes are drawn."""
-    return CLASS * np.floor(min(float(group.magnitudes().min()) for group in leaders) / CLASS)
-
-
 def _occupancy(group: Catalogues) -> float:
     return group.estimates[OCCUPANCY].value or 0.0
 
 
-def _rates(groups: Sequence[Catalogues], first_edge: float, level: float) -> list[Frequency]:
-    """Episodes in each class of magnitudes, and per unit time from it on."""
+def _rates(groups: Sequence[Catalogues], leaders: Sequence[Catalogues], level: float) -> list[Frequency]:
+    """Episodes in each class of magnitudes, from the smallest of those that lead, and per unit time from it on."""
+    first_edge = CLASS * np.floor(min(float(group.magnitudes().min()) for group in leaders) / CLASS)
     rates: list[Frequency] = []
     for group in groups:
         magnitudes = group.magnitudes()
@@ -564,21 +559,27 @@ def _figures(
     """The magnitudes of all settings, those that lead first, and what happens around large events."""
     shown = [*leaders, *(group for group in groups if group not in leaders)][:MOST_DRAWN]
     colours = hues(study, [group.label for group in shown])
+    drawn = [Drawn.of(*entry) for entry in zip(shown, colours, strict=True)]
+    peak = " Dashed: where the peak begins." * any(law.begins is not None for law in drawn)
+    lines = "Lines: power laws, each on its range." if any(len(law.at) for law in drawn) else "No power law fits."
     figures = {
         "magnitudes": Picture(
-            partial(magnitudes, rates, [Drawn.of(*drawn) for drawn in zip(shown, colours, strict=True)]),
-            "Above: share of episodes per unit of magnitude, M = log10 moment. Below: episodes per unit time of at"
-            " least each magnitude. A power law is a straight line, drawn on its range where one fits."
-            + " Dashed: where the peak begins."
-            * any(group.law.begins is not None for group in shown),
+            partial(magnitudes, rates, drawn),
+            f"{lines} Above: share of episodes per unit of magnitude, M = log10 moment. Below: episodes per unit time"
+            f" of at least each magnitude.{peak}",
         )
     }
     if any(group.recurrence.bins for group in leaders):
+        large = listed([f"M \u2265 {group.recurrence.least:.2f}, {group.method}" for group in leaders], "or")
+        cv = leaders[0].recurrence.cv
+        come = "in clusters, unlike" if (cv.low or 1.0) > 1.0 else "at times not told from those of"
+        come = "at more regular times than" if (cv.high or 1.0) < 1.0 else come
         bins = [(str(group.method), hue, group.recurrence.bins) for group, hue in zip(leaders, colours, strict=False)]
         figures["recurrence"] = Picture(
             partial(hazards, bins),
-            "Above: rate of the next large event, by the time since the last. Below: rate of small events before and"
-            " after a large one. Both over their mean, which a Poisson process has at all times; bars: intervals.",
+            f"Large events ({large}) come {come} a Poisson process. Above: rate of the next large event, by the"
+            " time since the last. Below: rate of small events before and after a large one. Both over their mean,"
+            " which a Poisson process has at all times (dashed); bars: intervals.",
         )
     return figures
 
