@@ -287,8 +287,8 @@ def predicates(study: Study, outcomes: Sequence[Outcome], settings: Sequence[Set
     words = [_words(outcome, settings) for outcome in outcomes]
     ends = {setting.t_end for setting in settings}
     when = f" at t = {study.settings.at(ends.pop())}" if len(ends) == 1 else " at their end"
-    first = next((k for k, word in enumerate(words) if "{}" in word), 0)
-    return tuple(word.format(when if k == first else "") for k, word in enumerate(words))
+    place = next((k for k, word in enumerate(words) if "{}" in word), 0)
+    return tuple(word.format(when if k == place else "") for k, word in enumerate(words))
 
 
 def _words(outcome: Outcome, settings: Sequence[Setting]) -> str:

@@ -415,15 +415,17 @@ def _sizes(sums: Sums, confidence: float) -> list[Size]:
     ]
 
 
-def _figures(study: Study, lead: Sums, known: Sequence[Sums], sizes: Mapping[str, list[Size]]) -> dict[str, Picture]:
+def _figures(
+    study: Study, lead: Sums, with_rate: Sequence[Sums], sizes: Mapping[str, list[Size]]
+) -> dict[str, Picture]:
     level, burn = study.settings.confidence, f"t = {study.settings.at(study.settings.t_burn)}"
     rate, system = lead.estimate(gamma, level), systems(study)
     values, errors = of_systems(lead.parts)
     values, errors = values[np.isfinite(errors)], errors[np.isfinite(errors)]
     half = student.half_width(level, PARTS - 1) * errors
     of_each = [Estimate(*ends) for ends in np.column_stack([values, values - half, values + half])]
-    drawn = [entry for entry in known if entry.n == lead.n][:MOST_DRAWN]
-    labels: Sequence[Label] = apart([sums.group.name for sums in drawn])
+    curves = [entry for entry in with_rate if entry.n == lead.n][:MOST_DRAWN]
+    labels: Sequence[Label] = apart([sums.group.name for sums in curves])
     of_which = f" ({labels[0]})" if labels[0] else ""
     lasting, scatter = between(values, errors, PARTS - 1, level), ""
     if lasting.value is not None:
@@ -431,12 +433,12 @@ def _figures(study: Study, lead: Sums, known: Sequence[Sums], sizes: Mapping[str
         differ = "differ" if lasting.low else "are not shown to differ"
         scatter = f" The {system}s {differ} beyond sampling error ({share} of the variance)."
     laws = {
-        str(label or lead.group.label): sizes[curve.group.label] for label, curve in zip(labels, drawn, strict=True)
+        str(label or lead.group.label): sizes[curve.group.label] for label, curve in zip(labels, curves, strict=True)
     }
     example, largest, draw_run = _first_run(study, lead.group)
     where = signs(places(study)[lead.group.label].tail)
     below = " Below: the same relative to p = 1/2." * cascade_figures.is_split(laws)
-    count = f" {len(drawn)} of {len(known)} settings are drawn." * (len(drawn) < len(known))
+    count = f" {len(curves)} of {len(with_rate)} settings are drawn." * (len(curves) < len(with_rate))
     dotted = " dotted: independent two-state blocks;" * (lead.pool_mean is not None)
     see = cascade_figures.departure(next(iter(cascade_figures.shown(laws).values())), of_which)
     enlarged = f" slip onsets with no arrest in between: the largest cascade after {burn}, enlarged. "

@@ -119,8 +119,8 @@ def _law(motion: Slow, where: Place, unit: str, is_missed: bool) -> Law:
 def _level(quantity: Quantity, key: Number, motion: Slow, where: Place, unit: str, is_missed: bool) -> Level:
     """A number of the fit; one that misses the spectrum has no interval."""
     estimate = motion.fit.estimates[key]
-    shown = Estimate(estimate.value) if is_missed else estimate
-    return Level(quantity, shown, where, basis=Basis(len(motion.units), unit))
+    value = Estimate(estimate.value) if is_missed else estimate
+    return Level(quantity, value, where, basis=Basis(len(motion.units), unit))
 
 
 def _q(motion: Slow) -> str:

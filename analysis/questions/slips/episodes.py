@@ -314,12 +314,12 @@ def _levels(
     counted = [group for group in groups if not _is_blurred(group)]
     several = [(name, group) for name in (SIZE, DURATION) for group in counted]
     travel = [(name, lead) for name in (SLIP, STORED, CREEP)]
-    others = [(name, group) for group in groups if group is not lead for name in (SLIP, CREEP)]
+    further = [(name, group) for group in groups if group is not lead for name in (SLIP, CREEP)]
     compared = [id(pair.setting) for pair in apart]
     rates = [(RATE, group) for group in counted if group is not lead and id(group) not in compared]
     return [
         _level(group, name, apart, unit)
-        for name, group in (*rates, *travel, *several, *others, *((name, lead) for name in of_lead))
+        for name, group in (*rates, *travel, *several, *further, *((name, lead) for name in of_lead))
         if group.estimates[name].value is not None
         # without the strain, which may fall, slip in episodes is no share of the travel
         and (name != SLIP or (group.estimates[STORED].value is not None and not _is_blurred(group)))
@@ -559,12 +559,12 @@ def _figures(
     """The magnitudes of all settings, those that lead first, and what happens around large events."""
     shown = [*leaders, *(group for group in groups if group not in leaders)][:MOST_DRAWN]
     colours = hues(study, [group.label for group in shown])
-    drawn = [Drawn.of(*entry) for entry in zip(shown, colours, strict=True)]
-    peak = " Dashed: where the peak begins." * any(law.begins is not None for law in drawn)
-    lines = "Lines: power laws, each on its range." if any(len(law.at) for law in drawn) else "No power law fits."
+    laws = [Drawn.of(*entry) for entry in zip(shown, colours, strict=True)]
+    peak = " Dashed: where the peak begins." * any(law.begins is not None for law in laws)
+    lines = "Lines: power laws, each on its range." if any(len(law.at) for law in laws) else "No power law is shown."
     figures = {
         "magnitudes": Picture(
-            partial(magnitudes, rates, drawn),
+            partial(magnitudes, rates, laws),
             f"{lines} Above: share of episodes per unit of magnitude, M = log10 moment. Below: episodes per unit time"
             f" of at least each magnitude.{peak}",
         )
