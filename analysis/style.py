@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import wraps
 from types import MappingProxyType
-from typing import Any, Concatenate, ParamSpec
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
-from stickslip.analysis.ensemble import Study
 from stickslip.analysis.pictures import BLUE as BLUE
 from stickslip.analysis.pictures import CYCLE as CYCLE
 from stickslip.analysis.pictures import GREEN as GREEN
@@ -26,6 +25,9 @@ from stickslip.analysis.pictures import ORANGE as ORANGE
 from stickslip.analysis.pictures import PURPLE as PURPLE
 from stickslip.analysis.pictures import by_defaults
 from stickslip.analysis.stats.estimates import Estimate, with_ends
+
+if TYPE_CHECKING:  # it loads pandas
+    from stickslip.analysis.ensemble import Study
 
 STYLE: Any = {
     "font.size": 9,

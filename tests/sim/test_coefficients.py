@@ -126,7 +126,7 @@ def event_driven(system, mu, knots, z, w, t_end):
                         ends.append(passes)
                         owners.append((i, way))
         y0 = np.append(z, np.where(slips == 0, v, w))
-        path = solve_ivp(rates, (t, t_end), y0, method="DOP853", rtol=1e-12, atol=1e-13, events=ends, max_step=0.05)
+        path = solve_ivp(rates, (t, t_end), y0, method="DOP853", rtol=1e-13, atol=1e-15, events=ends, max_step=0.05)
         t, z, w = path.t[-1], path.y[:n, -1], np.where(slips == 0, v, path.y[n:, -1])
         if path.status == 0:
             return z, w, series

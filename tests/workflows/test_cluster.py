@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import os
 import re
 import shlex
@@ -42,13 +43,19 @@ def reference(tmp_path_factory):
     return shards(path)
 
 
+def require_jobqueue():
+    """Not imported here: it sets a handler of SIGINT."""
+    if importlib.util.find_spec("dask_jobqueue") is None:
+        pytest.skip("without dask-jobqueue")
+
+
 def shards(path):
     return {file.name: file.read_bytes() for file in (path / "data").iterdir()}
 
 
 def test_what_slurm_is_told(tmp_path, monkeypatch):
     """With dask's pages installed, or what passes for them: they are not to be served."""
-    pytest.importorskip("dask_jobqueue")
+    require_jobqueue()
     monkeypatch.setitem(sys.modules, "distributed.dashboard.scheduler", SimpleNamespace(connect=None))
     monkeypatch.chdir(tmp_path)
     before = signal.getsignal(signal.SIGINT)
@@ -148,7 +155,7 @@ if [ "$(wc -l < "$JOBS/asked")" = 2 ]; then echo "sbatch: error: controller is a
 @contextlib.contextmanager
 def in_little(tmp_path, scene_file, sbatch, *more, n=1):
     """The command, with a second between attempts, beside a Slurm in little; and where that keeps its jobs."""
-    pytest.importorskip("dask_jobqueue")
+    require_jobqueue()
     (jobs := tmp_path / "jobs").mkdir(exist_ok=True)
     for name, script in (("sbatch", sbatch), ("scancel", SCANCEL)):
         (file := tmp_path / name).write_text(script)
@@ -267,7 +274,7 @@ def test_without_the_extra_nothing_is_begun(scene_file, tmp_path, monkeypatch, c
 
 
 def test_what_is_complete_needs_no_job(scene_file, reference, tmp_path, monkeypatch):
-    pytest.importorskip("dask_jobqueue")
+    require_jobqueue()
     run_ensemble(parse_scene(SOURCE), tmp_path / "out", workers=0)
     monkeypatch.setattr(slurm, "_start", lambda *_: pytest.fail("a job was asked for"))
     run = ["run", str(scene_file), "--out", str(tmp_path / "out"), "--no-report"]
