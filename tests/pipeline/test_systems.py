@@ -147,6 +147,17 @@ def test_entries_of_a_sparse_file_may_be_in_any_order_and_add_up(tmp_path, rng):
         np.testing.assert_allclose(member.system().stiffness.toarray(), expected, rtol=1e-15)
 
 
+@pytest.mark.parametrize("key", ["indices", "indptr"])
+@pytest.mark.parametrize("kind", [bool, np.float64])
+def test_places_of_a_sparse_file_are_integers(key, kind, tmp_path):
+    places = {"indices": np.array([0, 1]), "indptr": np.array([0, 1, 1])}
+    places[key] = places[key].astype(kind)  # the same numbers
+    np.savez(tmp_path / "K.npz", data=[1.0, 2.0], shape=(2, 2), format=b"csc", **places)
+    (tmp_path / "mine.toml").write_text(SCENE.replace('"file"\nw', "0.0\nw"))
+    with pytest.raises(SceneError, match=f"{key}: expected integers, got an array of type "):
+        load_scene(tmp_path / "mine.toml")
+
+
 def test_a_dataset_of_files_is_the_same_on_workers_grows_and_outlives_them(tmp_path, arrays, rng, content):
     text = SCENE.replace("K.npz", "K*.npz")
     file = written(tmp_path, arrays, text)

@@ -12,7 +12,7 @@ from stickslip.pipeline.scene.readers.reader import Reader, check_whole, fits, s
 
 #: What `scipy.sparse.save_npz` writes of every sparse matrix, and where entries stand.
 _SPARSE = {"data", "shape", "format"}
-_PLACES = {"indices", "indptr", "row", "col", "offsets", "_is_array"}
+_PLACES = {"indices", "indptr", "row", "col", "offsets"}
 #: The formats of sparse matrices that are read: SciPy checks, or `System` does, where their entries stand.
 _FORMATS = (b"csc", b"csr", b"coo", b"dia")
 
@@ -68,7 +68,7 @@ class Npz(Reader):
         """The names of its arrays; "" is that of the sparse matrix."""
         if not self._is_sparse:
             return [*self._sizes]
-        return ["", *(name for name in self._sizes if name not in _SPARSE | _PLACES)]
+        return ["", *(name for name in self._sizes if name not in _SPARSE | _PLACES | {"_is_array"})]
 
     def read(self, name: str, n_most: int | None = None) -> Any:
         """An array, or the sparse matrix."""
@@ -82,6 +82,9 @@ class Npz(Reader):
         if form.item() not in _FORMATS:
             known = ", ".join(name.decode() for name in _FORMATS)
             raise ValueError(f"format: expected one of {known}, got {form.item()!r}; save K.tocsc()")
+        for key in sorted(_PLACES & self._sizes.keys()):
+            if (kind := self._array(key).dtype).kind not in "iu":  # SciPy takes True for 1
+                raise ValueError(f"{key}: expected integers, got an array of type {kind}; save K.tocsc()")
         matrix = sparse.load_npz(io.BytesIO(self._content))  # that indices are in range is for `System` to see
         _numbers("data", matrix.data)
         return matrix if form.item() in _FORMATS[:2] else matrix.tocsc()
