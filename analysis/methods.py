@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from stickslip.analysis.catalogues import Catalogues
 from stickslip.analysis.contrast import Contrast, Statistic, contrast
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.finding import Comparison, Family
+from stickslip.analysis.findings.finding import Comparison, Family, Scale
 from stickslip.analysis.members import STEPS, WIDTHS
 from stickslip.analysis.models.episodes import DURATION, QUANTITIES, RATE, SIZE, SLIP
 from stickslip.analysis.models.largest_gap import Difference, largest_gap
@@ -19,7 +19,7 @@ from stickslip.pipeline.design.labels import Label, Part, engine_name
 from stickslip.pipeline.design.labels import apart as labels_apart
 
 MAGNITUDES = "magnitudes"
-#: Statistics by which methods are compared, by name; their differences are relative.
+#: Statistics by which methods are compared, by name; their differences are relative, but of shares.
 STATISTICS: Mapping[str, Statistic] = {
     name: Statistic(name, QUANTITIES[name].of) for name in (RATE, SIZE, DURATION, SLIP)
 }
@@ -86,10 +86,7 @@ def compare(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apa
         if reference.is_judged
         for setting in looser
         for pair in (
-            *(
-                Apart(setting, reference, name, contrast(of, reference.sums[name], setting.sums[name], True, level))
-                for name, of in STATISTICS.items()
-            ),
+            *(Apart(setting, reference, name, _contrast(name, reference, setting, level)) for name in STATISTICS),
             Apart(setting, reference, MAGNITUDES, _of_magnitudes(study, reference, setting)),
         )
     ]
@@ -101,6 +98,11 @@ def compare(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apa
         for k, p in zip(able, holm([pairs[k].p or 0.0 for k in able]).tolist(), strict=True):
             pairs[k] = replace(pairs[k], family=Family(len(able), p, alpha=1 - level))
     return pairs
+
+
+def _contrast(name: str, reference: Catalogues, setting: Catalogues, level: float) -> Contrast:
+    scale = Scale.ABSOLUTE if name == SLIP else Scale.RELATIVE
+    return contrast(STATISTICS[name], reference.sums[name], setting.sums[name], True, level, scale)
 
 
 def _of_magnitudes(study: Study, first: Catalogues, second: Catalogues) -> Difference | str:

@@ -159,6 +159,13 @@ class Difference:
             return Verdict.OPEN_AMONG_MANY
         return Verdict.MORE if low > 0.0 else Verdict.LESS
 
+    @property
+    def side(self) -> Verdict:
+        """The verdict, of what is within the margin the side of zero on which the whole interval lies, if it does."""
+        is_equal = self.verdict is Verdict.EQUAL
+        side = replace(self, margin=None, family=None).verdict if is_equal else self.verdict
+        return Verdict.EQUAL if is_equal and side is Verdict.OPEN else side
+
 
 @dataclass(frozen=True)
 class Comparison:
