@@ -125,15 +125,8 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
         (RATE, "episode_rate", "episodes", "" if study.settings.units else "per unit of time"),
         (SIZE, "episode_size", "", "in blocks that slip"),
     ):
-        label = MEAN_SIZE if name == SIZE else name
-        statistic = Statistic(
-            label,
-            QUANTITIES[name].of,
-            least=0.0,
-            definition=definition,
-            things=things,
-            dimension="frequency" * (name == RATE),
-        )
+        label, dimension = (MEAN_SIZE, "") if name == SIZE else (name, "frequency")
+        statistic = Statistic(label, QUANTITIES[name].of, None, 0.0, "", definition, things, dimension)
         yield Measure(statistic, key, partial(_episodes, by_label, name))
     if not is_led_by_b:
         yield b
@@ -326,12 +319,10 @@ def _times(study: Study, name: str, group: Group) -> tuple[Times, dict[str, str]
 def _of_n_stick(study: Study, _: Study | None) -> Iterator[Measure]:
     """Mean n_stick and gamma of what is in motion; without gamma where episodes are recorded."""
     for measure in of_windows(study, ("mean", "gamma")):
-        of = measure.of if measure.key == "gamma" else _mean
-        yield replace(measure, of=of, is_recorded=False)
+        yield replace(measure, of=_mean if measure.key == "mean" else measure.of, is_recorded=False)
 
 
 def _mean(group: Group) -> Values:
-    """Mean n_stick, in which every unit has the same weight."""
     return Values(UnitSums(group.units, group.by_unit("mean", "runs")))
 
 

@@ -19,9 +19,10 @@ from stickslip.pipeline.design.labels import Label, Part, engine_name
 from stickslip.pipeline.design.labels import apart as labels_apart
 
 MAGNITUDES = "magnitudes"
-#: Statistics by which methods are compared, by name; their differences are relative, but of shares.
-STATISTICS: Mapping[str, Statistic] = {
-    name: Statistic(name, QUANTITIES[name].of) for name in (RATE, SIZE, DURATION, SLIP)
+#: Statistics by which methods are compared, by name; differences of a share are in percentage points.
+STATISTICS: Mapping[str, tuple[Statistic, Scale]] = {
+    name: (Statistic(name, QUANTITIES[name].of), Scale.ABSOLUTE if name == SLIP else Scale.RELATIVE)
+    for name in (RATE, SIZE, DURATION, SLIP)
 }
 PRIMARY = (RATE, MAGNITUDES)  # how often and how large: tested before the others
 
@@ -82,12 +83,15 @@ def compare(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apa
     level = study.settings.confidence
     pairs = [
         pair
-        for reference, *looser in by_system
-        if reference.is_judged
+        for finest, *looser in by_system
+        if finest.is_judged
         for setting in looser
         for pair in (
-            *(Apart(setting, reference, name, _contrast(name, reference, setting, level)) for name in STATISTICS),
-            Apart(setting, reference, MAGNITUDES, _of_magnitudes(study, reference, setting)),
+            *(
+                Apart(setting, finest, name, contrast(of, finest.sums[name], setting.sums[name], True, level, scale))
+                for name, (of, scale) in STATISTICS.items()
+            ),
+            Apart(setting, finest, MAGNITUDES, _of_magnitudes(study, finest, setting)),
         )
     ]
     for is_primary in (True, False):
@@ -98,11 +102,6 @@ def compare(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apa
         for k, p in zip(able, holm([pairs[k].p or 0.0 for k in able]).tolist(), strict=True):
             pairs[k] = replace(pairs[k], family=Family(len(able), p, alpha=1 - level))
     return pairs
-
-
-def _contrast(name: str, reference: Catalogues, setting: Catalogues, level: float) -> Contrast:
-    scale = Scale.ABSOLUTE if name == SLIP else Scale.RELATIVE
-    return contrast(STATISTICS[name], reference.sums[name], setting.sums[name], True, level, scale)
 
 
 def _of_magnitudes(study: Study, first: Catalogues, second: Catalogues) -> Difference | str:

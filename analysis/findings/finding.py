@@ -161,10 +161,9 @@ class Difference:
 
     @property
     def side(self) -> Verdict:
-        """The verdict, of what is within the margin the side of zero on which the whole interval lies, if it does."""
-        is_equal = self.verdict is Verdict.EQUAL
-        side = replace(self, margin=None, family=None).verdict if is_equal else self.verdict
-        return Verdict.EQUAL if is_equal and side is Verdict.OPEN else side
+        """The verdict; of what is within the margin on which side of zero it is, if the interval excludes zero."""
+        side = replace(self, margin=None, family=None).verdict
+        return side if self.verdict is Verdict.EQUAL and side is not Verdict.OPEN else self.verdict
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,6 @@ from stickslip.analysis.findings.numbers import bare, decimals, is_exact, number
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.stats.estimates import Estimate
 
-MOST_ADDED = 2  # decimals of two values beyond those of their difference, so that they agree with it
 MOST_WORDS = 25  # of a first sentence; signs count, and a number with its power of ten as one
 
 #: What a finding says: each can be a sentence of its own, and the first is the answer.
@@ -184,10 +183,8 @@ def based_on(basis: Basis | None) -> str:
 
 def _share(share: Share, is_brief: bool) -> Clauses:
     estimate, comparison, basis = share.estimate, share.comparison, share.basis
-    is_whole = estimate.value in (0.0, 1.0)
-    bracket = (
-        f" ({based_on(basis)}, no interval)" if basis is not None and estimate == Estimate(estimate.value) else ""
-    )
+    is_whole, is_bare = estimate.value in (0.0, 1.0), basis is not None and estimate == Estimate(estimate.value)
+    bracket = f" ({based_on(basis)}, no interval)" * is_bare
     head, tail = (share.where.head, "") if share.where.has_key else ("", share.where.tail)
     amount = _amount(estimate, share.n if is_whole else None, share.things, basis)
     words = f"{head}{amount} {share.predicate}{tail}{bracket}"
@@ -333,8 +330,8 @@ def interval(difference: Difference, form: Form = Form.NUMBER) -> str:
 
 def _within(difference: Difference, form: Form) -> str:
     """That a difference is less than its margin, with its interval."""
-    ends = interval(difference, form).removesuffix(_AFTER[form_of(difference, form)])
-    return f"within {margin(difference, form)} ({ends})"
+    unit = form_of(difference, form)
+    return f"within {margin(difference, form)} ({interval(difference, form).removesuffix(_AFTER[unit])})"
 
 
 def _in_margin(difference: Difference, form: Form) -> str:
@@ -377,15 +374,15 @@ def _change(change: Change, is_brief: bool = False) -> Clauses:
     along = f"as {_along(change)}{change.where.tail}"
     if change.turn is not None:
         return _turning(change, change.turn, along)
-    form = change.quantity.form
     match difference.side:
         case Verdict.MORE | Verdict.LESS as verdict:
-            verb, within = "rises" if verdict is Verdict.MORE else "falls", _in_margin(difference, form)
+            verb = "rises" if verdict is Verdict.MORE else "falls"
+            within = _in_margin(difference, change.quantity.form)
             if is_brief:
                 return f"{name} {verb} {_by(change)} {along}", f"it {verb} {_from_to(change)}{within}"
             return (f"{name} {verb} {_from_to(change)}, {_by(change)}{within}, {along}",)
         case Verdict.EQUAL:
-            return (f"{name} stays {_within(difference, form)} {along}",)
+            return (f"{name} stays {_within(difference, change.quantity.form)} {along}",)
         case Verdict.SAME:
             return (f"{name} is the same in every run {along}",)
         case Verdict.OPEN | Verdict.OPEN_AMONG_MANY:
@@ -456,24 +453,22 @@ def _levels(change: Change) -> tuple[str, str]:
     start, end = change.before.value, change.after.value
     assert start is not None
     assert end is not None
-    form, difference = change.quantity.form, change.difference
-    is_absolute = difference.scale is Scale.ABSOLUTE
-    least = decimals(difference.estimate if is_absolute else Estimate(max(abs(start), abs(end))), form)
-    further = range(least, least + MOST_ADDED + 1)
-    places = next((digits for digits in further if _agree(difference, form, start, end, digits)), least)
+    form, places = change.quantity.form, _digits(change, start, end)
     return number(start, form, places), in_unit(number(end, form, places), change.quantity.unit)
 
 
-def _agree(difference: Difference, form: Form, start: float, end: float, digits: int) -> bool:
-    """Whether two values with so many decimals have the difference that is printed beside them."""
-    unit, value = form_of(difference, form), difference.estimate.value
-    start, end = (round(level, digits + 2 * (form is Form.SHARE)) for level in (start, end))
-    is_absolute = difference.scale is Scale.ABSOLUTE
-    if value is None or not (is_absolute or start):
-        return False
-    n_decimals = decimals(difference.estimate, unit) + 2 * (unit in (Form.SHARE, Form.POINTS))
-    distance = (end - start) / (1.0 if is_absolute else abs(start))
-    return abs(distance - round(value, n_decimals)) <= 0.50001 * 10.0**-n_decimals
+def _digits(change: Change, start: float, end: float) -> int:
+    """The decimals with which two values have the difference that is printed beside them."""
+    form, estimate = change.quantity.form, change.difference.estimate
+    unit, is_absolute = form_of(change.difference, form), change.difference.scale is Scale.ABSOLUTE
+    least = decimals(estimate if is_absolute else Estimate(max(abs(start), abs(end))), form)
+    last_digit = 10.0 ** -(decimals(estimate, unit) + 2 * (unit in (Form.SHARE, Form.POINTS)))
+    for places in (least, least + 1, least + 2):
+        before, after = (round(level, places + 2 * (form is Form.SHARE)) for level in (start, end))
+        difference = (after - before) / (1.0 if is_absolute else abs(before) or 1.0)
+        if abs(difference - (estimate.value or 0.0)) <= 0.5 * last_digit:
+            return places
+    return least
 
 
 def _lifetime(lifetime: Lifetime, is_brief: bool) -> Clauses:
@@ -582,12 +577,10 @@ def _most_apart(level: Level, where: str) -> Addition:
     if difference.verdict is Verdict.SAME or value is None or end is None:
         return Addition()
     largest = f"largest difference {_signed(difference, form)}, in the {name}"
-    if difference.verdict is Verdict.EQUAL:
-        return Addition(clause=f"{largest}, within the declared {margin(difference, form)}{where}")
     is_one_of_many = difference.verdict is Verdict.OPEN_AMONG_MANY
     n = f", not significant among {_n_tests(difference)}" if is_one_of_many else ""
     if difference.scale is Scale.RELATIVE or form is Form.SHARE:
-        return Addition(clause=f"{largest}{n}{where}")
+        return Addition(clause=f"{largest}{_in_margin(difference, form)}{n}{where}")
     places = decimals(Estimate(max(abs(end), abs(end - value))), form)
     ends = f"{name} {number(end, form, places)} against {number(end - value, form, places)}"
     if difference.verdict is Verdict.UNJUDGED:

@@ -187,7 +187,7 @@ def test_which_episodes_b_is_of_is_said(planted_episodes, settings, rng):
     data = planted_episodes(EXACT, rate=6.0)
     is_single = rng.uniform(size=len(data.episodes)) < 0.7
     table = data.episodes.assign(moment=data.episodes["moment"].where(~is_single, 0.5))
-    answer = asked(replace(data, episodes=table), replace(settings, confidence=SURE))
+    answer = asked(replace(data, episodes=table), settings)
     (law,) = of_kind(answer, Law)
     shares = {finding.quantity.key: finding.estimate for finding in of_kind(answer, Level)}
     assert law.scope.estimate.low < 0.3 < law.scope.estimate.high + 0.03

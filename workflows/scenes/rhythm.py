@@ -176,8 +176,8 @@ def changes(lines: Sequence[Along], unit: str, confidence: float) -> list[Change
     changed = []
     for (number, line, test), p in zip(tested, adjusted, strict=True):
         family = Family(len(tested), p, alpha=1 - confidence)
-        is_share, ends_of_size = number is Number.SHARE, np.array([test.difference, *test.interval(confidence)])
-        size = Estimate(*(ends_of_size if is_share else np.expm1(ends_of_size)).tolist())
+        is_share, ends_of_size = number is Number.SHARE, [test.difference, *test.interval(confidence)]
+        size = Estimate(*(ends_of_size if is_share else np.expm1(ends_of_size).tolist()))
         ends = (line.groups[0], line.groups[-1])
         old, new = (motion.group.key[line.key] for motion in ends)
         key = KeyChange(line.key, shown(old), shown(new), is_negative(old, new))

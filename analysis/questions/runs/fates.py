@@ -307,8 +307,7 @@ def _delays(study: Study) -> Iterator[Level]:
             delays = (_last_events(method) - reference_times).dropna().to_numpy()
             if len(delays):
                 delay = median_of_known(delays, study.settings.confidence)
-                beside = Comparison(engine_name(reference.key["engine"]))
-                basis = Basis(len(delays), noun(study.unit))
+                beside, basis = Comparison(engine_name(reference.key["engine"])), Basis(len(delays), noun(study.unit))
                 quantity = replace(DELAY, name=DELAY.name.format(basis.unit))
                 yield Level(quantity, delay, where[method.label], beside, basis)
 

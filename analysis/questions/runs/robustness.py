@@ -201,8 +201,8 @@ def _effects(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator
             if effect.low is not None or (effect.high or np.inf) < 1.0:
                 name = f"mean square change of the {QUANTITIES[quantity].title} of a system"
                 theta = Quantity("theta", f"{name}, relative to that between two systems", Form.SHARE)
-                place = where + Place.words(str(comparison.change))
-                yield quantity, Level(theta, effect, place, None, Basis(len(sets), unit))
+                place, basis = where + Place.words(str(comparison.change)), Basis(len(sets), unit)
+                yield quantity, Level(theta, effect, place, None, basis)
 
 
 class _End(NamedTuple):
@@ -241,16 +241,9 @@ def _ends(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[Fi
         place = where + Place.words(str(comparison.change))
         if counts:
             share = Estimate(*share_over_matrices([*counts.values()], confidence)[:3])
-            ends = "end differently from their original"
-            yield Share(
-                "otherwise",
-                "changed copies",
-                ends,
-                share,
-                place,
-                basis=Basis(len(counts), unit),
-                n=sum(total for _, total in counts.values()),
-            )
+            names = "otherwise", "changed copies", "end differently from their original"
+            n_copies = sum(total for _, total in counts.values())
+            yield Share(*names, share, place, basis=Basis(len(counts), unit), n=n_copies)
         if shifts:
             units, times = np.repeat([*shifts], [*map(len, shifts.values())]), np.concatenate([*shifts.values()])
             yield Level(SHIFT, median_of_known(times, confidence, units), place, None, Basis(len(shifts), unit))

@@ -319,13 +319,11 @@ def _levels(
     groups: Sequence[Catalogues], lead: Catalogues, apart: Sequence[Apart], unit: str, of_lead: Sequence[str]
 ) -> list[Level]:
     """Statistics of all groups, and what shows whether the drive is slow."""
-    several = [(name, group) for name in _COMPARED for group in groups if name != RATE]
+    several = [(name, group) for name in _COMPARED for group in groups]
     lead_only = [(name, lead) for name in of_lead]
-    compared = [id(pair.setting) for pair in apart]
-    rates = [(RATE, group) for group in groups if group is not lead and id(group) not in compared]
     return [
         _level(group, name, apart, unit)
-        for name, group in (*rates, *several, *lead_only)
+        for name, group in (*several, *lead_only)
         # without the strain, which may fall, slip in episodes is no share of the travel
         if group.estimates[name].value is not None and (name != SLIP or group.estimates[STORED].value is not None)
     ]
@@ -365,10 +363,7 @@ def _of_onsets(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[
 def _outcomes(
     reference: Catalogues, others: Sequence[Catalogues], apart: Sequence[Apart], unit: str
 ) -> list[Outcomes]:
-    """The settings of a system by the first of `_BY` that is shown to differ, with the largest difference in it.
-
-    Of settings that are not shown to differ, it is the largest of all that are relative.
-    """
+    """Settings by the first of `_BY` that is shown to differ, with the largest difference in it, or of all."""
     differing = {(id(pair.setting), pair.name) for pair in apart if pair.is_shown}
     settings = dict(zip(settings_of(others), others, strict=True))
     come_out = {
@@ -380,7 +375,7 @@ def _outcomes(
         by_id = {id(group): setting for setting, group in settings.items() if come_out[setting] == name}
         apart_most = max(
             (pair for pair in apart if id(pair.setting) in by_id and pair.name in ([name] if name else _RELATIVE)),
-            key=_distance,
+            key=_size,
             default=None,
         )
         if not by_id or apart_most is None:
@@ -397,12 +392,11 @@ def _outcomes(
     return outcomes
 
 
-def _distance(one: Apart) -> float:
+def _size(one: Apart) -> float:
     """How far a setting lies from its reference."""
-    if isinstance(one.found, str):
-        return 0.0
-    estimate = one.found.difference.estimate if isinstance(one.found, Contrast) else one.found.size
-    return abs(estimate.value or 0.0)
+    if isinstance(one.found, Contrast):
+        return abs(one.found.difference.estimate.value or 0.0)
+    return 0.0 if one.law is None else one.law.size.value or 0.0
 
 
 def _is_blurred(group: Catalogues) -> bool:
