@@ -215,16 +215,16 @@ def test_no_difference_is_said_with_the_number_of_systems_where_intervals_are_wi
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "difference", "said"),
+    ("before", "after", "difference", "words"),
     [
         (19.7567, 18.9336, Estimate(-0.8231, -1.11, -0.54), "from 19.757 to 18.934, by 0.82 (0.54 to 1.11)"),
         (24.971, 23.473, Estimate(-1.498, -1.86, -1.14), "from 24.97 to 23.47, by 1.50 (1.14 to 1.86)"),
         (0.7482, 0.6913, Estimate(-0.0569, -0.07, -0.043), "from 0.748 to 0.691, by 0.057 (0.043 to 0.070)"),
     ],
 )
-def test_levels_have_the_difference_that_is_printed_beside_them(before, after, difference, said):
+def test_levels_have_the_difference_that_is_printed_beside_them(before, after, difference, words):
     change = Change(GAMMA, KAPPA, Estimate(before), Estimate(after), Difference(difference, Scale.ABSOLUTE))
-    assert said in sentence(change)
+    assert words in sentence(change)
 
 
 def _pick(rng, kind):

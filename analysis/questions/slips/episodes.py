@@ -336,16 +336,16 @@ def _distances(pairs: Sequence[Apart], outcomes: Sequence[Outcomes], unit: str) 
     return [*dict.fromkeys([*(outcome.largest for outcome in outcomes if outcome.largest), *rows])]
 
 
-def _beside(one: Apart, unit: str) -> Level | None:
+def _beside(pair: Apart, unit: str) -> Level | None:
     """A statistic beside its reference's, or the distance of magnitudes from the reference's."""
-    if one.name in _COMPARED:
-        return _level(one.setting, one.name, [one], unit)
-    if one.name == ONSETS and isinstance(one.found, Contrast):
-        return one.step.contrast.level(Place.of(one.setting.method), one.reference.method, unit)
-    if isinstance(one.found, LawDifference):
-        where = Place.of(one.setting.method)
-        n_both = len(one.setting.runs.keys() & one.reference.runs.keys())
-        return Level(APART, one.found.size, where, Comparison(one.reference.method), Basis(n_both, unit))
+    if pair.name in _COMPARED:
+        return _level(pair.setting, pair.name, [pair], unit)
+    if pair.name == ONSETS and isinstance(pair.found, Contrast):
+        return pair.step.contrast.level(Place.of(pair.setting.method), pair.reference.method, unit)
+    if isinstance(pair.found, LawDifference):
+        where = Place.of(pair.setting.method)
+        n_both = len(pair.setting.runs.keys() & pair.reference.runs.keys())
+        return Level(APART, pair.found.size, where, Comparison(pair.reference.method), Basis(n_both, unit))
     return None
 
 
@@ -392,11 +392,11 @@ def _outcomes(
     return outcomes
 
 
-def _size(one: Apart) -> float:
+def _size(pair: Apart) -> float:
     """How far a setting lies from its reference."""
-    if isinstance(one.found, Contrast):
-        return abs(one.found.difference.estimate.value or 0.0)
-    return 0.0 if one.law is None else one.law.size.value or 0.0
+    if isinstance(pair.found, Contrast):
+        return abs(pair.found.difference.estimate.value or 0.0)
+    return 0.0 if pair.law is None else pair.law.size.value or 0.0
 
 
 def _is_blurred(group: Catalogues) -> bool:
