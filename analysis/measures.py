@@ -125,15 +125,8 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
         (RATE, "episode_rate", "episodes", "" if study.settings.units else "per unit of time"),
         (SIZE, "episode_size", "", "in blocks that slip"),
     ):
-        label = MEAN_SIZE if name == SIZE else name
-        statistic = Statistic(
-            label,
-            QUANTITIES[name].of,
-            least=0.0,
-            definition=definition,
-            things=things,
-            dimension="frequency" * (name == RATE),
-        )
+        label, dimension = (MEAN_SIZE, "") if name == SIZE else (name, "frequency")
+        statistic = Statistic(label, QUANTITIES[name].of, None, 0.0, "", definition, things, dimension)
         yield Measure(statistic, key, partial(_episodes, by_label, name))
     if not is_led_by_b:
         yield b
@@ -325,18 +318,12 @@ def _times(study: Study, name: str, group: Group) -> tuple[Times, dict[str, str]
 
 def _of_n_stick(study: Study, _: Study | None) -> Iterator[Measure]:
     """Mean n_stick and gamma of what is in motion; without gamma where episodes are recorded."""
-    by_key: dict[str, Callable[[Group], Values]] = {
-        "mean": lambda group: Values(UnitSums(group.units, group.by_unit("mean", "runs"))),
-        "gamma": partial(_gamma, study.settings.confidence),
-    }
-    for measure in of_windows(study, (*by_key,)):
-        yield replace(measure, of=by_key[measure.key], is_recorded=False)
+    for measure in of_windows(study, ("mean", "gamma")):
+        yield replace(measure, of=_mean if measure.key == "mean" else measure.of, is_recorded=False)
 
 
-def _gamma(confidence: float, group: Group) -> Values:
-    """Sums of gamma over a group's runs in motion, if they allow a statistic of a steady state."""
-    values, basis = _window_sums("gamma", group), group.basis(confidence).code
-    return values if values.withheld or basis in enough.JUDGED else Values(withheld=basis)
+def _mean(group: Group) -> Values:
+    return Values(UnitSums(group.units, group.by_unit("mean", "runs")))
 
 
 def of_windows(study: Study, keys: Collection[str] = tuple(OF_N_STICK)) -> list[Measure]:
@@ -346,13 +333,16 @@ def of_windows(study: Study, keys: Collection[str] = tuple(OF_N_STICK)) -> list[
         if key in keys and key in study.compared:
             statistic = Statistic(quantity.label, quantity.of, study.margins.get(key), least=0.0)
             statistic = replace(statistic, title=quantity.title, things=quantity.things, dimension=quantity.dimension)
-            measured.append(Measure(statistic, key, partial(_window_sums, key)))
+            measured.append(Measure(statistic, key, partial(_window_sums, key, study.settings.confidence)))
     return measured
 
 
-def _window_sums(key: str, group: Group) -> Values:
+def _window_sums(key: str, confidence: float, group: Group) -> Values:
+    """The sums of a quantity; gamma is withheld where runs do not allow a statistic of a steady state."""
     if key in OF_ONSETS and not group.has_onsets:
         return Values(withheld=Reason.MERGED.value)
+    if key == "gamma" and (basis := group.basis(confidence).code) not in enough.JUDGED:
+        return Values(withheld=basis)
     is_short = key == "correlation_time" and 2 * group.n_short > group.n_runs
     return Values(group.sums(key), withheld=SHORT_WINDOW * is_short)
 

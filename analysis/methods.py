@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from stickslip.analysis.catalogues import Catalogues
 from stickslip.analysis.contrast import Contrast, Statistic, contrast
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.finding import Comparison, Family
+from stickslip.analysis.findings.finding import Comparison, Family, Scale
 from stickslip.analysis.members import STEPS, WIDTHS
 from stickslip.analysis.models.episodes import DURATION, QUANTITIES, RATE, SIZE, SLIP
 from stickslip.analysis.models.largest_gap import Difference, largest_gap
@@ -19,9 +19,10 @@ from stickslip.pipeline.design.labels import Label, Part, engine_name
 from stickslip.pipeline.design.labels import apart as labels_apart
 
 MAGNITUDES = "magnitudes"
-#: Statistics by which methods are compared, by name; their differences are relative.
-STATISTICS: Mapping[str, Statistic] = {
-    name: Statistic(name, QUANTITIES[name].of) for name in (RATE, SIZE, DURATION, SLIP)
+#: Statistics by which methods are compared, by name; differences of a share are in percentage points.
+STATISTICS: Mapping[str, tuple[Statistic, Scale]] = {
+    name: (Statistic(name, QUANTITIES[name].of), Scale.ABSOLUTE if name == SLIP else Scale.RELATIVE)
+    for name in (RATE, SIZE, DURATION, SLIP)
 }
 PRIMARY = (RATE, MAGNITUDES)  # how often and how large: tested before the others
 
@@ -82,15 +83,15 @@ def compare(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apa
     level = study.settings.confidence
     pairs = [
         pair
-        for reference, *looser in by_system
-        if reference.is_judged
+        for finest, *looser in by_system
+        if finest.is_judged
         for setting in looser
         for pair in (
             *(
-                Apart(setting, reference, name, contrast(of, reference.sums[name], setting.sums[name], True, level))
-                for name, of in STATISTICS.items()
+                Apart(setting, finest, name, contrast(of, finest.sums[name], setting.sums[name], True, level, scale))
+                for name, (of, scale) in STATISTICS.items()
             ),
-            Apart(setting, reference, MAGNITUDES, _of_magnitudes(study, reference, setting)),
+            Apart(setting, finest, MAGNITUDES, _of_magnitudes(study, finest, setting)),
         )
     ]
     for is_primary in (True, False):

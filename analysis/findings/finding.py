@@ -159,6 +159,12 @@ class Difference:
             return Verdict.OPEN_AMONG_MANY
         return Verdict.MORE if low > 0.0 else Verdict.LESS
 
+    @property
+    def side(self) -> Verdict:
+        """The verdict; of what is within the margin on which side of zero it is, if the interval excludes zero."""
+        side = replace(self, margin=None, family=None).verdict
+        return side if self.verdict is Verdict.EQUAL and side is not Verdict.OPEN else self.verdict
+
 
 @dataclass(frozen=True)
 class Comparison:

@@ -95,7 +95,7 @@ def _in_numbers(outcomes: Outcomes) -> Iterator[tuple[Clauses, Clauses]]:
     notes = (*compared, *(f"settings: {', '.join(group)}" for group in groups if len(group) > 1))
     yield _outcomes(counted), notes
     if outcomes.largest is not None:
-        yield _outcomes(replace(counted, largest=None)), (*notes, "; ".join(_level(outcomes.largest)))
+        yield _outcomes(counted, is_brief=True), (*notes, "; ".join(_level(outcomes.largest)))
 
 
 def place_of(finding: Finding) -> Place:
@@ -183,9 +183,8 @@ def based_on(basis: Basis | None) -> str:
 
 def _share(share: Share, is_brief: bool) -> Clauses:
     estimate, comparison, basis = share.estimate, share.comparison, share.basis
-    is_whole, bracket = estimate.value in (0.0, 1.0), ""
-    if is_whole and basis is not None and basis.n == 1:
-        estimate, bracket = Estimate(estimate.value), f" ({based_on(basis)}, no interval)"
+    is_whole, is_bare = estimate.value in (0.0, 1.0), basis is not None and estimate == Estimate(estimate.value)
+    bracket = f" ({based_on(basis)}, no interval)" * is_bare
     head, tail = (share.where.head, "") if share.where.has_key else ("", share.where.tail)
     amount = _amount(estimate, share.n if is_whole else None, share.things, basis)
     words = f"{head}{amount} {share.predicate}{tail}{bracket}"
@@ -228,15 +227,15 @@ def _in_clause(level: Level) -> str:
     """What stands in the clause of a quantity instead of its value, if a comparison tells."""
     if level.comparison is None or (difference := level.difference) is None:
         return ""
-    reference = level.comparison.other
-    if difference.verdict is Verdict.EQUAL:
-        return f"{_within(difference, level.quantity.form)} of that for {reference}"
-    if difference.verdict not in (Verdict.MORE, Verdict.LESS):
+    reference, form = level.comparison.other, level.quantity.form
+    if difference.side is Verdict.EQUAL:
+        return f"{_within(difference, form)} of that for {reference}"
+    if difference.side not in (Verdict.MORE, Verdict.LESS):
         return ""
     if (times := ratio(difference)) is not None:
         return f"{times} times as much as for {reference}"
-    side = "more" if difference.verdict is Verdict.MORE else "less"
-    return f"{size(difference, level.quantity.form)} {side} than for {reference}"
+    side = "more" if difference.side is Verdict.MORE else "less"
+    return f"{size(difference, form)} {side} than for {reference}{_in_margin(difference, form)}"
 
 
 def _also(level: Level) -> str:
@@ -258,12 +257,12 @@ def _compared(comparison: Comparison, quantity: Quantity | None) -> Addition:
         return Addition(f"compared with {reference}")
     above, less = ("above", "below") if quantity is None else (quantity.more, quantity.less)
     form = Form.SHARE if quantity is None else quantity.form
-    match difference.verdict:
+    match difference.side:
         case Verdict.MORE if (times := ratio(difference)) is not None:
             return Addition(f"{times} times that of {reference}")
-        case Verdict.MORE | Verdict.LESS:
-            side = above if difference.verdict is Verdict.MORE else less
-            return Addition(f"{size(difference, form)}{_of(difference, quantity)} {side} {reference}")
+        case Verdict.MORE | Verdict.LESS as verdict:
+            side, within = above if verdict is Verdict.MORE else less, _in_margin(difference, form)
+            return Addition(f"{size(difference, form)}{_of(difference, quantity)} {side} {reference}{within}")
         case Verdict.EQUAL:
             return Addition(f"{_within(difference, form)} of {reference}")
         case Verdict.SAME:
@@ -330,9 +329,14 @@ def interval(difference: Difference, form: Form = Form.NUMBER) -> str:
 
 
 def _within(difference: Difference, form: Form) -> str:
-    """That a difference is less than its margin, with its interval, which may lie on one side of zero."""
+    """That a difference is less than its margin, with its interval."""
     unit = form_of(difference, form)
     return f"within {margin(difference, form)} ({interval(difference, form).removesuffix(_AFTER[unit])})"
+
+
+def _in_margin(difference: Difference, form: Form) -> str:
+    """What follows a difference to one side that is within its margin."""
+    return f", within the margin of {margin(difference, form)}" if difference.verdict is Verdict.EQUAL else ""
 
 
 def margin(difference: Difference, form: Form = Form.NUMBER) -> str:
@@ -370,12 +374,13 @@ def _change(change: Change, is_brief: bool = False) -> Clauses:
     along = f"as {_along(change)}{change.where.tail}"
     if change.turn is not None:
         return _turning(change, change.turn, along)
-    match difference.verdict:
+    match difference.side:
         case Verdict.MORE | Verdict.LESS as verdict:
             verb = "rises" if verdict is Verdict.MORE else "falls"
+            within = _in_margin(difference, change.quantity.form)
             if is_brief:
-                return f"{name} {verb} {_by(change)} {along}", f"it {verb} {_from_to(change)}"
-            return (f"{name} {verb} {_from_to(change)}, {_by(change)}, {along}",)
+                return f"{name} {verb} {_by(change)} {along}", f"it {verb} {_from_to(change)}{within}"
+            return (f"{name} {verb} {_from_to(change)}, {_by(change)}{within}, {along}",)
         case Verdict.EQUAL:
             return (f"{name} stays {_within(difference, change.quantity.form)} {along}",)
         case Verdict.SAME:
@@ -448,10 +453,22 @@ def _levels(change: Change) -> tuple[str, str]:
     start, end = change.before.value, change.after.value
     assert start is not None
     assert end is not None
-    form, difference = change.quantity.form, change.difference
-    is_absolute = difference.scale is Scale.ABSOLUTE
-    places = decimals(difference.estimate if is_absolute else Estimate(max(abs(start), abs(end))), form)
+    form, places = change.quantity.form, _digits(change, start, end)
     return number(start, form, places), in_unit(number(end, form, places), change.quantity.unit)
+
+
+def _digits(change: Change, start: float, end: float) -> int:
+    """The decimals with which two values have the difference that is printed beside them."""
+    form, estimate = change.quantity.form, change.difference.estimate
+    unit, is_absolute = form_of(change.difference, form), change.difference.scale is Scale.ABSOLUTE
+    least = decimals(estimate if is_absolute else Estimate(max(abs(start), abs(end))), form)
+    last_digit = 10.0 ** -(decimals(estimate, unit) + 2 * (unit in (Form.SHARE, Form.POINTS)))
+    for places in (least, least + 1, least + 2):
+        before, after = (round(level, places + 2 * (form is Form.SHARE)) for level in (start, end))
+        difference = (after - before) / (1.0 if is_absolute else abs(before) or 1.0)
+        if abs(difference - (estimate.value or 0.0)) <= 0.5 * last_digit:
+            return places
+    return least
 
 
 def _lifetime(lifetime: Lifetime, is_brief: bool) -> Clauses:
@@ -499,12 +516,13 @@ def _parts(sum_of: Parts) -> Clauses:
     return words, f"{listed(others)} {verb} {with_interval(sum_of.rest, form, sign=True)}"
 
 
-def _outcomes(outcomes: Outcomes) -> Clauses:
+def _outcomes(outcomes: Outcomes, is_brief: bool = False) -> Clauses:
     """Settings by outcome; if there is a largest difference that is shown, it is what the sentence says first."""
     reference, largest = outcomes.other, outcomes.largest
     scope = f" in {outcomes.scope}" if outcomes.scope else ""
     words = []
-    if outcomes.different and largest is not None and (distance := _larger(largest, reference)):
+    distance = "" if is_brief or largest is None else _larger(largest, reference)
+    if outcomes.different and distance:
         words.append(f"{outcomes.at_largest} gives {distance}")
         if outcomes.others:
             words.append(f"{listed(outcomes.others)} also differ{_s(outcomes.others)}")
@@ -513,15 +531,12 @@ def _outcomes(outcomes: Outcomes) -> Clauses:
     if outcomes.equal:
         words.append(f"{listed(outcomes.equal)} agree{_s(outcomes.equal)} with {reference}{scope}")
     if outcomes.undecided:
-        undecided = listed(outcomes.undecided, "or")
-        if largest is None or largest.basis is None or largest.difference is None:
-            words.append(f"{undecided} cannot be told from {reference}{scope}")
-        else:
-            beside = "" if outcomes.equal else f" from {reference}{scope}"
-            words.append(f"no difference{beside} is shown for {undecided} ({based_on(largest.basis)})")
+        beside = "" if outcomes.equal else f" from {reference}{scope}"
+        n = "" if largest is None or largest.basis is None else f" ({based_on(largest.basis)})"
+        words.append(f"no difference{beside} is shown for {listed(outcomes.undecided, 'or')}{n}")
         if outcomes.equal:
             return (*words,)
-    if largest is None or (outcomes.different and largest.difference is not None):
+    if is_brief or largest is None or (outcomes.different and largest.difference is not None):
         return (*words,)
     is_elsewhere = outcomes.undecided and outcomes.at_largest not in ("", *outcomes.undecided)
     addition = _most_apart(largest, f", for {outcomes.at_largest}" if is_elsewhere else "")
@@ -562,13 +577,11 @@ def _most_apart(level: Level, where: str) -> Addition:
     if difference.verdict is Verdict.SAME or value is None or end is None:
         return Addition()
     largest = f"largest difference {_signed(difference, form)}, in the {name}"
-    if difference.verdict is Verdict.EQUAL:
-        return Addition(clause=f"{largest}, within the declared {margin(difference, form)}{where}")
     is_one_of_many = difference.verdict is Verdict.OPEN_AMONG_MANY
     n = f", not significant among {_n_tests(difference)}" if is_one_of_many else ""
-    if difference.scale is Scale.RELATIVE:
-        return Addition(clause=f"{largest}{n}{where}")
-    places = 0 if form is Form.SHARE else decimals(Estimate(max(abs(end), abs(end - value))), form)
+    if difference.scale is Scale.RELATIVE or form is Form.SHARE:
+        return Addition(clause=f"{largest}{_in_margin(difference, form)}{n}{where}")
+    places = decimals(Estimate(max(abs(end), abs(end - value))), form)
     ends = f"{name} {number(end, form, places)} against {number(end - value, form, places)}"
     if difference.verdict is Verdict.UNJUDGED:
         return Addition(f"{ends}, without an interval{where}")

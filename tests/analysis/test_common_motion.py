@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stickslip.analysis.findings.alerts import Code
-from stickslip.analysis.findings.finding import Fit, Lack, Law, Level, Reason, Verdict
+from stickslip.analysis.findings.finding import Fit, Lack, Law, Level, Reason, Scale, Verdict
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models import common_motion
 from stickslip.analysis.models.common_motion import Shown
@@ -240,6 +240,9 @@ def test_changes_are_those_planted(rng):
     assert found[0].difference.verdict is Verdict.LESS
     assert found[0].difference.estimate.value == pytest.approx(360 / 440 - 1, abs=0.05)
     assert found[0].keys[0].first == "150"
+    (of_share, *_) = (change.difference for change in changes if change.quantity.key == "share")
+    assert of_share.scale is Scale.ABSOLUTE  # percentage points
+    assert of_share.estimate.value == pytest.approx(360 - 440, abs=20)
     assert found[0].difference.family.n == 3 * len(lines)
     # each is of the systems that give both of its ends
     *groups, last = lines[0].groups

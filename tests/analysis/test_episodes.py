@@ -448,6 +448,28 @@ def test_a_method_that_keeps_the_episodes_may_lose_slip_onsets(planted_episodes,
     assert sentence(distance).endswith(", compared with exact.")
 
 
+def test_a_method_that_keeps_rate_and_magnitudes_may_stretch_episodes(planted_episodes, planted, settings, rng):
+    """It differs, and that is said; of the others the largest difference is, not the one that is known least."""
+    steps = {f"h{step}": planted.sigmoid | {"eps": step} for step in (1e-5, 1e-4, 1e-3)}
+    data = planted_episodes(EXACT | {name: (method, 1.0) for name, method in steps.items()}, rate=3.0)
+    table = data.episodes.assign(end=lambda rows: rows["start"] + TOOK * rng.uniform(0.5, 1.5, len(rows)))
+    of_exact = table[table["member_id"].str.endswith("-exact")]
+    longer = of_exact.assign(
+        member_id=of_exact["member_id"].str.replace("exact", "h0.001"),
+        end=of_exact["start"] + rng.uniform(1.0, 1.1, len(of_exact)) * (of_exact["end"] - of_exact["start"]),
+    )
+    table = pd.concat([table[~table["member_id"].str.endswith("h0.001")], longer], ignore_index=True)
+    answer = asked(replace(data, episodes=table), replace(settings, confidence=SURE))
+    different, undecided = of_kind(answer, Outcomes)
+    assert different.different == ("sigmoid with eps = 1e-3",)
+    assert re.search(r"gives a mean duration of episodes [45]\.\d+% .* higher than exact", sentence(different))
+    contrasts = answer.tables["episode_contrasts"]
+    is_told = ~contrasts["setting"].str.contains("0.001|1e-3") & contrasts["quantity"].ne(SLIP)
+    largest = contrasts.loc[is_told, "relative"].abs().max()
+    assert abs(undecided.largest.difference.estimate.value) >= largest - 1e-12  # slip onsets are compared too
+    assert "duration" in undecided.scope
+
+
 def test_a_test_that_few_systems_leave_without_power_costs_the_others_nothing(planted_episodes, planted, settings):
     """Six systems have no p-value of swaps below 2 / 2^6: rates are judged among themselves."""
     engines = EXACT | {

@@ -257,6 +257,15 @@ def test_fates_are_kept_apart(planted):
     assert codes(answered)[Code.UNCERTIFIED] == {"n": 2, "of": 20}
 
 
+def test_a_share_of_one_system_has_no_interval_in_words_and_rows(planted):
+    answered = asked(data_of(planted, [COLLAPSED]))
+    shares = of_kind(answered, Share)
+    assert shares
+    for share in shares:
+        assert ends(share.estimate) == (1.0, None, None)
+        assert "(1 system, no interval)" in sentence(share)
+
+
 def test_survival_counts_certified_ends_and_growth_alone(planted):
     answered = asked(data_of(planted, [COLLAPSED] * 4 + [SUSTAINED] * 5 + [DIVERGED] * 3 + [LULL] * 8))
     (ax,) = answered.figures["survival"].recipe().axes
@@ -299,7 +308,8 @@ def test_last_events_are_compared_system_by_system(planted, rng):
     for (name, (t, n_stick)), shift in zip([*other.series.items()], shifts, strict=True):
         other.series[name] = t + np.array([0.0, shift]), n_stick
     answered = asked(beside(data, other, **planted.sigmoid))
-    (delay,) = [level for level in of_kind(answered, Level) if level.quantity is DELAY]
+    (delay,) = [level for level in of_kind(answered, Level) if level.quantity.key == DELAY.key]
+    assert sentence(delay).startswith("Median of the delays of the last event, system by system")
     assert (delay.estimate.value, delay.basis.n) == (pytest.approx(np.median(shifts[:39])), 39)
     in_order = np.sort(shifts[:39])  # 13th of 39 by tosses
     assert (delay.estimate.low, delay.estimate.high) == pytest.approx((in_order[12], in_order[26]))

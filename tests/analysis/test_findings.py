@@ -171,7 +171,21 @@ def test_sentences():
     )
     within = Comparison("the exact engine", Difference(Estimate(0.006, 0.004, 0.008), margin=0.01))
     assert sentence(Level(GAMMA, Estimate(0.7), comparison=within)) == (
-        "Decay rate: 0.700, within 1% (+0.40 to +0.80%) of the exact engine."
+        "Decay rate: 0.700, 0.60% (0.40 to 0.80%) above the exact engine, within the margin of 1%."
+    )
+    beside = Level(replace(GAMMA, clause="the decay rate is {}"), Estimate(0.7), comparison=within)
+    assert (
+        sentence(beside)
+        == "The decay rate is 0.60% (0.40 to 0.80%) more than for the exact engine, within the margin of 1%."
+    )
+    around = Comparison("the exact engine", Difference(Estimate(0.006, -0.001, 0.008), margin=0.01))
+    assert sentence(replace(beside, comparison=around)) == (
+        "The decay rate is within 1% (\u22120.10 to +0.80%) of that for the exact engine."
+    )
+    small = Difference(Estimate(-0.0056, -0.009, -0.0023), margin=0.01)
+    assert sentence(Change(GAMMA, KAPPA, Estimate(0.70273), Estimate(0.6988), small)) == (
+        "Decay rate falls from 0.7027 to 0.6988, by 0.56% (0.23 to 0.90%), within the margin of 1%, as kappa goes"
+        " from 0.1 to 0.4."
     )
     span = Level(Quantity("in_range", "share in the range of b", Form.SHARE), Estimate(0.0552))
     b = Level(Quantity("b", "b-value"), Estimate(0.879, 0.835, 0.924))
@@ -190,6 +204,29 @@ def test_sentences():
         "Period of the cycle: 3.508, the same from all 8 starts."
     )
     assert sentence(Decided(Truth.NO, basin)) == f"No: {sentence(basin)}"
+
+
+def test_no_difference_is_said_with_the_number_of_systems_where_intervals_are_wide():
+    level = Level(SHARE, Estimate(0.25, 0.05, 0.7), comparison=Comparison("exact"), basis=Basis(4))
+    wide = Difference(Estimate(0.25, -0.28, 0.7), Scale.ABSOLUTE)
+    open_one = Outcomes("exact", undecided=("sigmoid",), largest=replace(level, comparison=Comparison("exact", wide)))
+    assert sentence(open_one) == (
+        "No difference from exact is shown for sigmoid (4 systems); largest difference +25 (\u221228 to +70)"
+        " percentage points, in the share of runs in motion."
+    )
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "difference", "words"),
+    [
+        (19.7567, 18.9336, Estimate(-0.8231, -1.11, -0.54), "from 19.757 to 18.934, by 0.82 (0.54 to 1.11)"),
+        (24.971, 23.473, Estimate(-1.498, -1.86, -1.14), "from 24.97 to 23.47, by 1.50 (1.14 to 1.86)"),
+        (0.7482, 0.6913, Estimate(-0.0569, -0.07, -0.043), "from 0.748 to 0.691, by 0.057 (0.043 to 0.070)"),
+    ],
+)
+def test_levels_have_the_difference_that_is_printed_beside_them(before, after, difference, words):
+    change = Change(GAMMA, KAPPA, Estimate(before), Estimate(after), Difference(difference, Scale.ABSOLUTE))
+    assert words in sentence(change)
 
 
 def _pick(rng, kind):

@@ -12,11 +12,13 @@ from stickslip.analysis.findings.alerts import Code
 from stickslip.analysis.findings.finding import Fit, Lack, Law, Level, Reason, Verdict, levels
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import sentence
+from stickslip.analysis.measures import of_windows
 from stickslip.analysis.members import records
 from stickslip.analysis.models import pool
 from stickslip.analysis.questions.runs.engines import between_engines
 from stickslip.analysis.questions.slips import cascade_definitions, cascades
 from stickslip.analysis.questions.slips.cascade_figures import Size, departure
+from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.components import between
 from stickslip.analysis.stats.estimates import LN2, Estimate, gamma, over_matrices
 from tests.analysis import studies
@@ -149,7 +151,10 @@ def test_too_little_data_has_reasons(planted, settings, rng):
 
     law = studies.geometric(0.7, 100)
     assert lack(study_of(planted, settings, law, rng, n_matrices=2)) is Reason.FEW_UNITS
-    assert lack(study_of(planted, settings, law, rng, n_cascades=12)) is Reason.FEW_CASCADES
+    scarce = study_of(planted, settings, law, rng, n_cascades=12)
+    assert lack(scarce) is Reason.FEW_CASCADES
+    (rate,) = of_windows(scarce, ("gamma",))  # nor is it compared
+    assert rate.of(scarce.groups[0]).withheld == enough.FEW_CASCADES
     assert lack(study_of(planted, settings, np.array([1.0]), rng)) is Reason.ONE_VALUE
     still = {name: (np.array([0.0]), np.array([0])) for name in planted.ensemble({"coulomb": 0.7}, 6)[1]}
     assert lack(Study(Data(planted.ensemble({"coulomb": 0.7}, 6)[0], still), settings)) is Reason.NO_MOTION

@@ -63,8 +63,11 @@ def test_the_effect_on_single_systems_is_not_that_on_their_mean(rng, planted, se
     assert isinstance(found.findings[0], Outcomes)
     assert (effects[0].estimate.value, effects[0].estimate.low) == (None, None)  # no share, but a limit
     assert 0.0 < effects[0].estimate.high < 0.25
-    assert "one system, as a share of another system's" in sentence(effects[0])
-    assert ": at most " in sentence(effects[0])
+    named = (
+        "Mean square change of the mean number of sticking blocks of a system, relative to that between two systems"
+    )
+    assert sentence(effects[0]).startswith(f"{named}: at most ")
+    assert "constants changed by up to" in str(effects[0].where)
     # the mean over matrices stays, which a comparison of ensembles would pass
     found, effects = asked(ensemble(rng, planted, to_and_fro), settings)
     assert effects[0].estimate.value > 1.0

@@ -26,6 +26,7 @@ from stickslip.analysis.findings.finding import (
     Level,
     Quantity,
     Reason,
+    Scale,
     Verdict,
 )
 from stickslip.analysis.findings.numbers import signs, span
@@ -170,31 +171,33 @@ def along(key: str, slow: Sequence[Slow]) -> list[Along]:
 
 def changes(lines: Sequence[Along], unit: str, confidence: float) -> list[Change]:
     """Changes from the first to the last value of each line; their p-values are adjusted by Holm's rule."""
-    tested = [(number, line, _logarithm(number, line)) for number in NUMBERS for line in lines]
+    tested = [(number, line, _difference(number, line)) for number in NUMBERS for line in lines]
     adjusted = holm([test.p_different for *_, test in tested]).tolist()
     changed = []
     for (number, line, test), p in zip(tested, adjusted, strict=True):
         family = Family(len(tested), p, alpha=1 - confidence)
-        size = Estimate(*np.expm1([test.difference, *test.interval(confidence)]).tolist())
+        is_share, ends_of_size = number is Number.SHARE, [test.difference, *test.interval(confidence)]
+        size = Estimate(*(ends_of_size if is_share else np.expm1(ends_of_size).tolist()))
         ends = (line.groups[0], line.groups[-1])
         old, new = (motion.group.key[line.key] for motion in ends)
         key = KeyChange(line.key, shown(old), shown(new), is_negative(old, new))
         before, after = (motion.fit.estimates[number] for motion in ends)
-        difference = Difference(size, family=family)
+        difference = Difference(size, Scale.ABSOLUTE if is_share else Scale.RELATIVE, family=family)
         basis = Basis(min(len(motion.units) for motion in ends), unit)
         changed.append(Change(NUMBERS[number], (key,), before, after, difference, line.at, basis))
     return changed
 
 
-def _logarithm(number: Number, line: Along) -> Compared:
-    """Tests of the logarithm of the last value over the first.
+def _difference(number: Number, line: Along) -> Compared:
+    """Tests of the last value less the first, of a share, or else of their logarithms.
 
     For its error a system is left out of both at once, as they share draws.
     """
     first, last = line.groups[0], line.groups[-1]
     units = sorted({*first.units, *last.units})
-    logs = np.array(last.logs(number, units)) - np.array(first.logs(number, units))
-    return Compared(float(logs[0]), jackknife_error(logs[1:]), len(units) - 1)
+    before, after = (np.array(motion.logs(number, units)) for motion in (first, last))
+    change = np.exp(after) - np.exp(before) if number is Number.SHARE else after - before
+    return Compared(float(change[0]), jackknife_error(change[1:]), len(units) - 1)
 
 
 # ---------------------------------------------------------------------------------------------------- powers

@@ -70,7 +70,7 @@ MOST_OPEN = 0.1  # of runs that may be undecided without an alert
 LIFETIME = Quantity("lifetime", "median lifetime", more="longer", less="shorter", dimension="time")
 TO_GROWTH = replace(LIFETIME, name="median time to unbounded growth")
 TO_SLIDING = replace(LIFETIME, name="median time to sliding")
-DELAY = Quantity("last_event", "median delay of the last event", dimension="time")
+DELAY = Quantity("last_event", "median of the delays of the last event, {0} by {0}", dimension="time")
 MEAN = Quantity("mean", "mean number of sticking blocks in runs still going")
 PROVED = "proved", "sliding runs", "are proved not to stick again"
 PERIOD = Quantity("period", "period of the cycle", dimension="time")
@@ -307,8 +307,9 @@ def _delays(study: Study) -> Iterator[Level]:
             delays = (_last_events(method) - reference_times).dropna().to_numpy()
             if len(delays):
                 delay = median_of_known(delays, study.settings.confidence)
-                beside = Comparison(engine_name(reference.key["engine"]))
-                yield Level(DELAY, delay, where[method.label], beside, Basis(len(delays), noun(study.unit)))
+                beside, basis = Comparison(engine_name(reference.key["engine"])), Basis(len(delays), noun(study.unit))
+                quantity = replace(DELAY, name=DELAY.name.format(basis.unit))
+                yield Level(quantity, delay, where[method.label], beside, basis)
 
 
 def _last_events(group: Group) -> pd.Series:

@@ -42,8 +42,8 @@ SHIFT = Quantity(
 )
 _METHOD = "Each system is compared with its changed copy."
 _METHOD_OF_EFFECTS = (
-    " The effect of a change on a system is the mean square difference between it and its changed copy, without the"
-    " scatter between starts, over that between two systems."
+    " Its mean square change is that between the two, without the scatter between starts; it is relative to the mean"
+    " square difference between two systems."
 )
 
 
@@ -199,9 +199,10 @@ def _effects(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator
             unchanged, changed = (copies.values(quantity, [rows[side] for rows in sets]) for side in (0, 1))
             effect = non_negative(components.against_redraw(unchanged, changed, confidence).theta)
             if effect.low is not None or (effect.high or np.inf) < 1.0:
-                name = f"effect of {comparison.change} on the {QUANTITIES[quantity].title} of one system"
-                theta = Quantity("theta", f"{name}, as a share of another system's", Form.SHARE)
-                yield quantity, Level(theta, effect, where, None, Basis(len(sets), unit))
+                name = f"mean square change of the {QUANTITIES[quantity].title} of a system"
+                theta = Quantity("theta", f"{name}, relative to that between two systems", Form.SHARE)
+                place, basis = where + Place.words(str(comparison.change)), Basis(len(sets), unit)
+                yield quantity, Level(theta, effect, place, None, basis)
 
 
 class _End(NamedTuple):
@@ -240,16 +241,9 @@ def _ends(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[Fi
         place = where + Place.words(str(comparison.change))
         if counts:
             share = Estimate(*share_over_matrices([*counts.values()], confidence)[:3])
-            ends = "end differently from their original"
-            yield Share(
-                "otherwise",
-                "changed copies",
-                ends,
-                share,
-                place,
-                basis=Basis(len(counts), unit),
-                n=sum(total for _, total in counts.values()),
-            )
+            names = "otherwise", "changed copies", "end differently from their original"
+            n_copies = sum(total for _, total in counts.values())
+            yield Share(*names, share, place, basis=Basis(len(counts), unit), n=n_copies)
         if shifts:
             units, times = np.repeat([*shifts], [*map(len, shifts.values())]), np.concatenate([*shifts.values()])
             yield Level(SHIFT, median_of_known(times, confidence, units), place, None, Basis(len(shifts), unit))

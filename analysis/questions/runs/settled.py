@@ -356,11 +356,11 @@ def portions(study: Study, runs: Runs, name: str = "", besides: Iterable[str] = 
 
 
 def share_of(has: np.ndarray, untold: np.ndarray, units: np.ndarray, confidence: float) -> Estimate:
-    """Share of runs that have something, which is unknown of others; runs of one unit are dependent."""
+    """Share of runs that have something, which is unknown of others; dependent in one unit: that has no interval."""
     place = np.unique(units, return_inverse=True)[1]
-    return bounded_share(
-        np.column_stack([np.bincount(place, has), np.bincount(place, untold), np.bincount(place)]), confidence
-    )
+    counts = np.column_stack([np.bincount(place, has), np.bincount(place, untold), np.bincount(place)])
+    share = bounded_share(counts, confidence)
+    return share if len(counts) > 1 else Estimate(share.value)
 
 
 def together(settings: Sequence[Setting]) -> Runs:

@@ -225,9 +225,10 @@ def _method(study: Study) -> str:
     return (
         "A cascade is a run of slip onsets with no arrest in between, and s is their number. The geometric "
         f"distribution f ∝ exp(−γ s){f' from {smallest} on' * (smallest > 1)} is fitted by maximum likelihood, with "
-        f"intervals over {systems(study)}s; with p = 1/2, γ is ln 2. Independent two-state blocks are as many blocks "
-        "without memory, with the same mean number sticking. Time-shifted blocks keep each block's own dynamics: "
-        f"each is shifted by a random time ({min(study.settings.resamples, SHIFTS)} draws per run)."
+        f"intervals over {systems(study)}s; with p = 1/2, γ is ln 2. Three effects shift γ from there and may "
+        "cancel: finite size, alone in independent two-state blocks (as many, without memory, the same mean number "
+        "sticking); each block's own dynamics, also in time-shifted blocks (each shifted by a random time, "
+        f"{min(study.settings.resamples, SHIFTS)} draws per run); coupling, in the runs alone."
     )
 
 

@@ -47,7 +47,7 @@ from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital, listed, plural
 from stickslip.analysis.members import DRAWN
-from stickslip.analysis.methods import MAGNITUDES, Apart, compare, names, settings_of
+from stickslip.analysis.methods import MAGNITUDES, PRIMARY, Apart, compare, names, settings_of
 from stickslip.analysis.models.episodes import (
     BY_WAY,
     CREEP,
@@ -80,8 +80,8 @@ MOST_DRAWN = 8  # groups in the figure of magnitudes
 FEWEST_IN_BIN = 5  # events in a bin of times, if any, for it to be drawn
 _METHOD = (
     "An episode lasts from all blocks stuck to all stuck again; its size is the number of blocks that slip, its"
-    " moment the sum of their slips, its magnitude log10 of that. Methods are compared"
-    " on the same systems: a method differs if its rate of episodes, its rate of slip onsets (t tests) or its"
+    " moment the sum of their slips, its magnitude log10 of that. Methods are compared on the same systems: a method"
+    " differs if its rate, mean size or mean duration of episodes, its rate of slip onsets (t tests) or its"
     " distribution of magnitudes (permutation test) does, with p-values adjusted for the number of methods (Holm). A"
     " power law is fitted on the widest range on which the distribution functions of data and law differ by less than"
     " 2%, or by chance; b of two datasets can be compared on one range, [analysis] magnitude_range."
@@ -104,9 +104,10 @@ WORDS: Mapping[str, Quantity] = {
     CREEP: Quantity("creep", "share of the belt's travel that is creep of stuck blocks", Form.SHARE),
     OCCUPANCY: Quantity("occupancy", "share of the time in which at least one block slips", Form.SHARE),
 }
-_SCOPE, _AND_ONSETS = "the rate and magnitudes of episodes", ", and the rate of slip onsets"
+_SCOPE, _AND_ONSETS = "the rate, size, duration and magnitudes of episodes", ", and the rate of slip onsets"
 ONSETS = "rate of slip onsets"
-_BY = (RATE, ONSETS, MAGNITUDES)  # what a method may differ in: the first that it does is said
+_BY = (RATE, ONSETS, SIZE, DURATION, MAGNITUDES)  # what a method may differ in: the first that it does is said
+_RELATIVE = (RATE, SIZE, DURATION, ONSETS)  # what differs in per cent
 IN_RANGE = Quantity("in_range", "share of episodes in the range of b", Form.SHARE)
 BELOW = Quantity("below_range", "share of episodes below the range of b", Form.SHARE)
 ATOM = Quantity("atom", "share of episodes with the smallest moment", Form.SHARE)
@@ -274,7 +275,8 @@ def answer(study: Study) -> Answer | None:
         findings = [*outcomes, rate, *distances, *changes, law, *beside, *others]
     elif changes:
         findings = [*changes, law, rate, *beside, *others, *distances]
-    findings += _levels(groups, lead, pairs, basis, () if study.data.is_loaded else (OCCUPANCY,))
+    of_lead = () if study.data.is_loaded else (OCCUPANCY,)
+    findings += [level for level in _levels(groups, lead, pairs, basis, of_lead) if level not in findings]
     return Answer(
         findings=findings,
         n_lead=min(3, len(outcomes) or 3),
@@ -330,21 +332,20 @@ def _levels(
 def _distances(pairs: Sequence[Apart], outcomes: Sequence[Outcomes], unit: str) -> list[Level]:
     """Each setting beside its reference: first what is said of outcomes, then what is shown to differ."""
     shown_first = sorted(pairs, key=lambda pair: not pair.is_shown)
-    rows = [row for pair in shown_first if (row := _beside(pair, unit)) is not None]
-    said = [outcome.largest for outcome in outcomes]
-    return sorted(rows, key=lambda row: row not in said)
+    rows = [row for pair in shown_first if pair.name in (*PRIMARY, ONSETS) and (row := _beside(pair, unit))]
+    return [*dict.fromkeys([*(outcome.largest for outcome in outcomes if outcome.largest), *rows])]
 
 
-def _beside(one: Apart, unit: str) -> Level | None:
-    """A rate beside its reference's, or the distance of magnitudes from the reference's."""
-    if one.name == RATE:
-        return _level(one.setting, RATE, [one], unit)
-    if one.name == ONSETS and isinstance(one.found, Contrast):
-        return one.step.contrast.level(Place.of(one.setting.method), one.reference.method, unit)
-    if isinstance(one.found, LawDifference):
-        where = Place.of(one.setting.method)
-        n_both = len(one.setting.runs.keys() & one.reference.runs.keys())
-        return Level(APART, one.found.size, where, Comparison(one.reference.method), Basis(n_both, unit))
+def _beside(pair: Apart, unit: str) -> Level | None:
+    """A statistic beside its reference's, or the distance of magnitudes from the reference's."""
+    if pair.name in (RATE, SIZE, DURATION, SLIP):
+        return _level(pair.setting, pair.name, [pair], unit)
+    if pair.name == ONSETS and isinstance(pair.found, Contrast):
+        return pair.step.contrast.level(Place.of(pair.setting.method), pair.reference.method, unit)
+    if isinstance(pair.found, LawDifference):
+        where = Place.of(pair.setting.method)
+        n_both = len(pair.setting.runs.keys() & pair.reference.runs.keys())
+        return Level(APART, pair.found.size, where, Comparison(pair.reference.method), Basis(n_both, unit))
     return None
 
 
@@ -362,7 +363,7 @@ def _of_onsets(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[
 def _outcomes(
     reference: Catalogues, others: Sequence[Catalogues], apart: Sequence[Apart], unit: str
 ) -> list[Outcomes]:
-    """The settings of a system by what is shown to differ: the rate, else the slip onsets, else the magnitudes."""
+    """Settings by the first of `_BY` that is shown to differ, with the largest difference in it, or of all."""
     differing = {(id(pair.setting), pair.name) for pair in apart if pair.is_shown}
     settings = dict(zip(settings_of(others), others, strict=True))
     come_out = {
@@ -373,8 +374,8 @@ def _outcomes(
     for name in (*_BY, ""):
         by_id = {id(group): setting for setting, group in settings.items() if come_out[setting] == name}
         apart_most = max(
-            (pair for pair in apart if id(pair.setting) in by_id and pair.name == (name or RATE)),
-            key=_reach,
+            (pair for pair in apart if id(pair.setting) in by_id and pair.name in ([name] if name else _RELATIVE)),
+            key=_size,
             default=None,
         )
         if not by_id or apart_most is None:
@@ -391,13 +392,11 @@ def _outcomes(
     return outcomes
 
 
-def _reach(one: Apart) -> float:
-    """How far a setting lies from its reference; if no difference is shown, how far it may lie."""
-    if not isinstance(one.found, Contrast):
-        return 0.0 if isinstance(one.found, str) else one.found.size.value or 0.0
-    difference = one.step.contrast.difference.estimate
-    ends = (difference.value,) if one.is_shown else (difference.low, difference.high)
-    return max(abs(end or 0.0) for end in ends)
+def _size(pair: Apart) -> float:
+    """How far a setting lies from its reference."""
+    if isinstance(pair.found, Contrast):
+        return abs(pair.found.difference.estimate.value or 0.0)
+    return 0.0 if pair.law is None else pair.law.size.value or 0.0
 
 
 def _is_blurred(group: Catalogues) -> bool:
