@@ -275,7 +275,7 @@ def test_the_cycles_of_nussbaum_and_ruina_are_those_of_the_map_of_their_episodes
     """
     for _ in range(4):
         pair = two_blocks.Pair(float(np.exp(rng.uniform(*np.log([0.1, 7.0])))), 0.3, 1e-3)
-        difference = pair.widest * rng.uniform(-1, 1)
+        difference = pair.widest * rng.uniform(-0.99, 0.99)  # both stick for a unit of time
         cycle, known = of_pair(pair, difference, 3e5), two_blocks.end(pair, difference, 150)
         if known.kind == "none found":
             continue
@@ -363,7 +363,8 @@ def in_a_segment(system, fate):
     k = int(np.argmax(np.diff(np.append(events.t, fate.period))))
     mode = events.mode_at(events.t[k])
     stay = np.diff(np.append(events.t, fate.period))[k]
-    w = np.where(mode == 0, system.belt_speed, states.w[k])
+    is_on_belt = (mode == 0) | (np.arange(system.n) == events.block[k])  # to rounding, if it leaves or passes it
+    w = np.where(is_on_belt, system.belt_speed, states.w[k])
     run = simulate(system, states.z[k], w, stay / 2, modes=mode, tol=TIGHT, stop_early=False)
     return run.z, np.where(mode == 0, system.belt_speed, run.w), mode
 
