@@ -389,7 +389,8 @@ def test_a_small_change_is_held_against_another_start_and_another_matrix(judged,
     assert moved["rms"]["change"] == pytest.approx(
         (2 + 9.0**2 / 2) ** 0.5 / 30, rel=0.2
     )  # of two changes one does it
-    redrawn = found(rng.permutation(of_matrix), rng.permutation(of_matrix))
+    rank = np.argsort(np.argsort(of_matrix))  # values of other matrices, with correlations of 0.04 and -0.13
+    redrawn = found(*(np.sort(of_matrix)[(rank + shift) % 20] for shift in (4, 5)))
     assert redrawn["verdict"] == "not reproduced"
     assert redrawn["value"] == pytest.approx(1.0, abs=0.9)
 
