@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stickslip.analysis.findings.alerts import Code
-from stickslip.analysis.findings.finding import Fit, Lack, Law, Level, Reason, Scale, Verdict
+from stickslip.analysis.findings.finding import Change, Fit, Lack, Law, Level, Reason, Scale, Verdict
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models import common_motion
 from stickslip.analysis.models.common_motion import Shown
@@ -285,9 +285,13 @@ def test_the_settings_that_the_fit_misses_are_named_whichever_leads(planted, rng
         goodness = common_motion.Goodness(deviances[group.key["belt_speed"]], 38)
         return dataclasses.replace(motion, motion=dataclasses.replace(motion.fit, goodness=goodness))
 
-    monkeypatch.setattr(collective, "slow_motion", planted_misfit)
+    for question in (collective, scene):
+        monkeypatch.setattr(question, "slow_motion", planted_misfit)
     runs = [studies.blocks_run(rng, depth=0.6, period=80.0) for _ in range(8)]
-    found = collective.answer(study_of(planted, runs, settings=[{"belt_speed": speed} for speed in deviances]))
+    study = study_of(planted, runs, settings=[{"belt_speed": speed} for speed in deviances])
+    keys = {change.keys[0] for change in scene.question(study).findings if isinstance(change, Change)}
+    assert {(key.first, key.second) for key in keys} == {("-0.2", "-0.15")}, "the third is not compared"
+    found = collective.answer(study)
     laws = {str(law.parameter.where): law for law in found.findings if isinstance(law, Law)}
     assert {where: law.fit for where, law in laws.items()} == {
         "belt_speed = -0.2": Fit.HOLDS, "belt_speed = -0.15": Fit.HOLDS, "belt_speed = -0.1": Fit.CLOSE,

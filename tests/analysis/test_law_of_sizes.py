@@ -161,8 +161,8 @@ def test_too_little_data_has_reasons(planted, settings, rng):
 
 
 @pytest.mark.parametrize(("bend", "two_state", "words"), [
-    (0.8, 0.8, "From s = 4 on shares (exact) lie below the fitted geometric distribution, as those"),
-    (0.8, 1.0, "From s = 4 on shares (exact) lie below the fitted geometric distribution. "), (1.0, 1.0, ""),
+    (0.8, 0.8, "At s = 4 to 7 shares (exact) lie below the fitted geometric distribution, as those"),
+    (0.8, 1.0, "At s = 4 to 7 shares (exact) lie below the fitted geometric distribution. "), (1.0, 1.0, ""),
 ])  # fmt: skip
 def test_the_figure_says_from_which_size_on_shares_leave_the_fit(bend, two_state, words):
     shares = {size: 0.5**size * (bend if size > 3 else 1.0) for size in range(1, 8)}

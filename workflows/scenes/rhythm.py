@@ -33,7 +33,7 @@ from stickslip.analysis.findings.numbers import signs, span
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.grid import is_negative
 from stickslip.analysis.models.common_motion import Number
-from stickslip.analysis.questions.slips.slow_motion import Slow, slow_motion
+from stickslip.analysis.questions.slips.slow_motion import Slow, misfits, slow_motion
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import Compared
 from stickslip.analysis.stats.estimates import Estimate, jackknife_error, with_ends
@@ -109,7 +109,10 @@ def question(study: Study) -> Answer:
     if not judged:
         return Answer(findings=[lack(study, WHAT)])
     slow = [motion for group in judged if (motion := study.once(slow_motion, group)) is not None and motion.is_shown]
-    lines = [line for key in KEYS for line in along(key, slow)]
+    missed = misfits(slow, study.settings.confidence)  # what is fitted there is no number of the motion
+    lines = [
+        line for key in KEYS for line in along(key, [motion for motion in slow if motion.group.label not in missed])
+    ]
     if not lines:
         return Answer(findings=[Lack(WHAT, Reason.ONE_VALUE if slow else Reason.NOT_SHOWN)])
     confidence = study.settings.confidence

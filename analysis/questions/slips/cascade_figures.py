@@ -107,12 +107,12 @@ def shown(laws: Mapping[str, Sequence[Size]]) -> dict[str, list[Size]]:
 
 
 def departure(sizes: Sequence[Size], of_which: str) -> str:
-    """From which size on all shares lie below the fit, if two or more do, and whether two-state blocks have them."""
+    """At which of the largest sizes drawn all shares lie below the fit, and whether two-state blocks have them."""
     tail = [*takewhile(lambda size: (size.share.high or 1.0) < (size.fit or 0.0), reversed(sizes))]
     alike = all((size.share.low or 0.0) <= (size.pool or 0.0) <= (size.share.high or 1.0) for size in tail)
     likeness = ", as those of independent two-state blocks" * alike
     words = f"shares{of_which} lie below the fitted geometric distribution"
-    return f"From s = {tail[-1].size} on {words}{likeness}. " if len(tail) > 1 else ""
+    return f"At s = {tail[-1].size} to {tail[0].size} {words}{likeness}. " if len(tail) > 1 else ""
 
 
 def _size_law(

@@ -18,12 +18,11 @@ from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import listed
 from stickslip.analysis.groups import Group
 from stickslip.analysis.models.common_motion import SURROGATES, Number, Shown
-from stickslip.analysis.questions.slips.slow_motion import CYCLES, Band, Slow, slow_motion
+from stickslip.analysis.questions.slips.slow_motion import CYCLES, Band, Slow, misfits, slow_motion
 from stickslip.analysis.questions.slips.triggering import CLUSTERING, exits_of, triggered
 from stickslip.analysis.rows import frame_by, frame_of
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats.estimates import Estimate, with_ends
-from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.style import GREY, bars, hues, panel
 from stickslip.pipeline.design.units import Units
 
@@ -63,23 +62,22 @@ def answer(study: Study) -> Answer:
     exits, where = exits_of(study, lead.group), where_of[lead.group.label]
     bands = {motion.group.label: motion.bands(level) for motion in motions[:MOST_GROUPS]}
     fitted = [(motion, where_of[motion.group.label]) for motion in motions if motion.is_shown]
-    p_values = holm([motion.goodness.p_value for motion, _ in fitted]).tolist()
-    missed = {str(place): p for (_, place), p in zip(fitted, p_values, strict=True) if p < 1 - level}
-    laws = [_law(motion, place, unit, str(place) in missed) for motion, place in fitted]
+    missed = misfits(motions, level)
+    laws = [_law(motion, place, unit, motion.group.label in missed) for motion, place in fitted]
     labels = [motion.group.label for motion in motions if bands.get(motion.group.label)]
-    q_of = {motion.group.label: f": {_q(motion)}" for motion, place in fitted if str(place) not in missed}
+    q_of = {motion.group.label: f": {_q(motion)}" for motion, _ in fitted if motion.group.label not in missed}
     named = {signs(str(where_of[label]) or label) + q_of.get(label, ""): bands[label] for label in labels}
     recipe = partial(spectrum, named, hues(study, labels), study.settings.units)
     leading: list[Finding] = [_lacking(lead, where, study.settings)]
     if laws:
-        leading = [laws[0], _level(Q, Number.QUALITY, lead, where, unit, str(where) in missed)]
+        leading = [laws[0], _level(Q, Number.QUALITY, lead, where, unit, lead.group.label in missed)]
     shares = [] if exits is None else triggered(exits, where, unit)
     pairs, basis = ((), None) if exits is None else (exits.pairs, Basis(exits.n_units, unit))
     compared = [row.level(where, basis) for row in pairs if row.observed.low is not None]
     return Answer(
         findings=[*leading, *shares, *laws[1:], *compared],
         n_lead=1 if laws else 1 + bool(shares),
-        alerts=_alerts(lead.group, missed, len(laws)),
+        alerts=_alerts(lead.group, {str(where_of[label]): p for label, p in missed.items()}, len(laws)),
         method=_METHOD,
         tables={
             "clustering": frame_by(CLUSTERING, pairs),

@@ -24,6 +24,7 @@ from stickslip.analysis.models.common_motion import (
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.estimates import Estimate
+from stickslip.analysis.stats.multiplicity import holm
 
 CYCLES = 3.0  # of a block: motion of longer periods is slow
 
@@ -107,6 +108,13 @@ class Slow:
         )
         power = variance * common_motion.expected(self.data.frequency[harmonics], self.data.span, period, quality)
         return float(share + power.mean() / self.data.independent[:, harmonics].mean())
+
+
+def misfits(motions: Sequence[Slow], confidence: float) -> dict[str, float]:
+    """The groups, by label, of which a damped oscillator misses the spectrum: p-values adjusted by Holm's rule."""
+    fitted = [motion for motion in motions if motion.is_shown]
+    p_values = holm([motion.goodness.p_value for motion in fitted]).tolist()
+    return {motion.group.label: p for motion, p in zip(fitted, p_values, strict=True) if p < 1 - confidence}
 
 
 def slow_motion(study: Study, group: Group) -> Slow | None:
