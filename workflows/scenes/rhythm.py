@@ -194,7 +194,7 @@ def changes(lines: Sequence[Along], unit: str, confidence: float) -> list[Change
 def _difference(number: Number, line: Along) -> Compared:
     """Tests of the last value less the first, of a share, or else of their logarithms.
 
-    For its error a system is left out of both at once, as they share draws.
+    For its error a system is left out of both at once, as they share draws; along n they do not, which adds no error.
     """
     first, last = line.groups[0], line.groups[-1]
     units = sorted({*first.units, *last.units})
