@@ -245,8 +245,9 @@ class _Filling:
             # side by side: one batch alone would compile them one after the other
             for engine in self._cold:
                 fire_and_forget(client.submit(load_kernels, [self._by_engine[engine]], pure=False))
-            if has_dashboard and scheduler is None:  # at an address dask names one also where none answers
-                self._dashboard = client.dashboard_link
+            with contextlib.suppress(KeyError):  # it has none
+                self._dashboard = client.dashboard_link or None
+            if self._dashboard is not None:
                 self._store.note(f"dashboard {self._dashboard}")
             # in processes of their own most of those pass whose workers died
             yield Dask(client, scheduler, _AGAIN, compute_alone, on_workers=partial(self._staffed, client))
