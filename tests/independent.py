@@ -268,7 +268,7 @@ class Case:
         """Each constant times 1 + size u, and each start plus size u times the largest of the start; |u| <= 1."""
 
         def u(*shape: int) -> Floats:
-            return rng.uniform(-size, size, shape)
+            return size * rng.uniform(-1, 1, shape)
 
         n = self.n
         start = max(np.abs(self.z0).max(), np.abs(self.w0).max(), self.fastest_belt)

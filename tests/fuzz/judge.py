@@ -34,7 +34,7 @@ _FADED = 1e-8  # of the size of the state
 _PATIENCE = 10.0  # seconds of this process for one run, or all of the reference's
 _FINEST = 1e-12  # what float64 and the references leave of a finer tolerance
 _ELSEWHERE = 1_000_000_000  # numbers of the cases that are put beside others
-_CHANGED = 3  # runs with changed start and constants
+CHANGED = 4  # runs with changed start and constants
 
 Simulate = Callable[..., Run]
 
@@ -123,6 +123,13 @@ class Truth:
         return replace(self, times=self.times[m:], state=self.state[m:], unit=self.unit[m:], modes=())
 
 
+def both_ways(rng: np.random.Generator, size: float) -> Iterator[tuple[np.random.Generator, float]]:
+    """Random numbers and sizes of `CHANGED` changes, each and its opposite: what is on an edge falls to both sides."""
+    for seed in rng.integers(2**63, size=CHANGED // 2):
+        for way in (size, -size):
+            yield np.random.default_rng(seed), way
+
+
 def _so_far(path: Path, times: Floats) -> Floats:
     """The largest |z|, |w| and |v| of the run until each time."""
     n = path.case.n
@@ -151,7 +158,7 @@ def _modes(path: Path, least: float = 0.0, scale: float = 1.0) -> list[Stretches
 def exact_truth(case: Case, times: Floats, t_end: float, size: float, rng: np.random.Generator) -> Truth:
     """By the independent engine; its runs are changed by `size`."""
     path = follow(case, t_end)
-    others = [follow(case.perturbed(rng, size), t_end) for _ in range(_CHANGED)]
+    others = [follow(case.perturbed(*way), t_end) for way in both_ways(rng, size)]
     state = np.hstack(path.at(times))
     moved = np.max([np.abs(np.hstack(other.at(times)) - state).max(axis=1) for other in others], axis=0) / size
     unit = np.maximum(_so_far(path, times), np.maximum.accumulate(moved)) + np.finfo(float).tiny  # all may rest
@@ -212,7 +219,7 @@ def smooth_truth(case: Case, times: Floats, delta: Floats, rng: np.random.Genera
 
     best = state(case, 1e-13)
     doubt = np.abs(state(case, 1e-11) - best).max(axis=1)
-    others = [state(case.perturbed(rng, size), 1e-11) for _ in range(_CHANGED)]
+    others = [state(case.perturbed(*way), 1e-11) for way in both_ways(rng, size)]
     moved = np.max([np.abs(other - best).max(axis=1) for other in others], axis=0) / size
     scale = 1 + np.maximum.accumulate(np.abs(best).max(axis=1))
     unit = np.maximum(scale, np.maximum.accumulate(moved))

@@ -8,6 +8,7 @@ import pytest
 
 from stickslip.sim import EventSeries, Run, simulate
 from tests.fuzz import relations
+from tests.fuzz.judge import CHANGED
 from tests.fuzz.relations import RELATIONS, judge_relations, judge_relations_by_waves
 from tests.systems import FAMILIES
 
@@ -30,7 +31,7 @@ def test_every_broken_relation_is_found(change: Callable[[Run], Run], monkeypatc
 
     def wrong(*args: object, **settings: object) -> Run:
         run = simulate(*args, **settings)
-        return run if next(calls) <= relations._CHANGED else change(run)
+        return run if next(calls) <= CHANGED else change(run)
 
     monkeypatch.setattr(relations, "simulate", wrong)
     found = set()
@@ -56,7 +57,13 @@ def test_all_relations_hold_of_waves(number: int, random_seed: int) -> None:
     assert verdict.failures == [], repeat
 
 
-@pytest.mark.parametrize(("seed", "number"), [(3163334217, 4), (1332271217, 16)])
+@pytest.mark.parametrize(("seed", "number"), [
+    (3163334217, 4), (1332271217, 16), (3475771402, 11), (2886834470, 8), (2393729099, 94),
+])  # fmt: skip
 def test_cases_that_failed(seed: int, number: int) -> None:
-    """Terms of a series that vanished by chance; a run that escapes within rounding of its end, at a sample."""
+    """Terms of a series that vanished by chance; a run that escapes within rounding of its end, at a sample.
+
+    And what no run can decide: a slide, and a swing, that fade away beside the belt; a force that just reaches static
+    friction.
+    """
     assert judge_relations(seed, number).failures == []
