@@ -387,7 +387,7 @@ def test_an_episode_that_does_not_end_is_motion(planted_episodes, settings):
     assert share < lead[OCCUPANCY] < share + 0.05
 
 
-def test_methods_are_held_against_exact_events(planted_episodes, planted, settings):
+def test_methods_are_held_against_exact_events(planted_episodes, planted, strict):
     """One keeps the rate, one has a third more, one has none at all."""
     engines = EXACT | {
         "fine": (planted.sigmoid | {"eps": 1e-5}, 1.0),
@@ -402,7 +402,7 @@ def test_methods_are_held_against_exact_events(planted_episodes, planted, settin
         dict(data.series) | {f"{name}r": data.series[name] for name in rows["member_id"]},
         episodes=data.episodes,
     )
-    answer = asked(data, settings)
+    answer = asked(data, strict)
     different, undecided = of_kind(answer, Outcomes)
     assert answer.findings[:2] == [different, undecided]
     assert (different.other, different.different) == ("exact", ("sigmoid with eps ≥ 1e-3",))
