@@ -15,11 +15,18 @@ from stickslip.analysis.questions.runs.changes import answer
 from stickslip.analysis.stats import components
 from stickslip.analysis.stats.estimates import Estimate
 from tests.analysis.designs import Data
+from tests.chance import SURE
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 T_END = 1000.0
-MATRICES = 20
+MATRICES = 40  # so many are told apart at the confidence of `strict`
+
+
+@pytest.fixture
+def strict(settings):
+    """At 0.95 one planted ensemble in twenty has an effect that nobody planted."""
+    return replace(settings, confidence=SURE)
 
 
 def paths(rng, levels):
@@ -58,8 +65,8 @@ def levels(found, key):
     return [one for one in found.findings if isinstance(one, Level) and one.quantity.key == key]
 
 
-def test_the_effect_on_single_systems_is_not_that_on_their_mean(rng, planted, settings):
-    found, effects = asked(ensemble(rng, planted, lambda own: own), settings)
+def test_the_effect_on_single_systems_is_not_that_on_their_mean(rng, planted, strict):
+    found, effects = asked(ensemble(rng, planted, lambda own: own), strict)
     assert isinstance(found.findings[0], Outcomes)
     assert (effects[0].estimate.value, effects[0].estimate.low) == (None, None)  # no share, but a limit
     assert 0.0 < effects[0].estimate.high < 0.25
@@ -69,13 +76,13 @@ def test_the_effect_on_single_systems_is_not_that_on_their_mean(rng, planted, se
     assert sentence(effects[0]).startswith(f"{named}: at most ")
     assert "constants changed by up to" in str(effects[0].where)
     # the mean over matrices stays, which a comparison of ensembles would pass
-    found, effects = asked(ensemble(rng, planted, to_and_fro), settings)
+    found, effects = asked(ensemble(rng, planted, to_and_fro), strict)
     assert effects[0].estimate.value > 1.0
     assert effects[0].estimate.low > 0.25
     changed = found.tables["changes"].set_index("quantity").loc["mean n_stick"]
     assert changed["relative"] == pytest.approx(0.0, abs=0.01)
     assert changed["verdict"] == Verdict.OPEN
-    (within,) = asked(ensemble(rng, planted, lambda own: own), replace(settings, margins={"mean": 0.05}))[0].findings[
+    (within,) = asked(ensemble(rng, planted, lambda own: own), replace(strict, margins={"mean": 0.05}))[0].findings[
         :1
     ]
     assert within.equal == ("a change of constants of 10%",)
@@ -112,11 +119,11 @@ def test_without_replicates_there_is_no_effect_on_single_systems(rng, planted, s
     assert not asked(close, settings)[1]
 
 
-def test_runs_that_do_not_reach_the_end_leave_their_matrix_out(rng, planted, settings):
+def test_runs_that_do_not_reach_the_end_leave_their_matrix_out(rng, planted, strict):
     data = ensemble(rng, planted, lambda own: own)
     members = data.members
     members.loc[members["member_id"].isin(["m3", "m5-0.01", "m7-0.1-scale"]), "outcome"] = "diverged"
-    found, effects = asked(replace(data, table=members), settings)
+    found, effects = asked(replace(data, table=members), strict)
     assert effects[0].basis.n == MATRICES - 3
     assert found.findings[0].largest.basis.n == MATRICES - 2, "another start of the system is no part of it"
 
