@@ -124,7 +124,7 @@ class Truth:
 
 
 def both_ways(rng: np.random.Generator, size: float) -> Iterator[tuple[np.random.Generator, float]]:
-    """Random numbers and sizes of `CHANGED` changes, each and its opposite: what is on an edge falls to both sides."""
+    """Random numbers and sizes of changes, each and its opposite: what is on an edge falls to both sides."""
     for seed in rng.integers(2**63, size=CHANGED // 2):
         for way in (size, -size):
             yield np.random.default_rng(seed), way
