@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.groups import Group
-from stickslip.analysis.members import STEPS, SYSTEM_KEYS, TOLERANCES, WIDTHS
+from stickslip.analysis.members import STEPS, TOLERANCES, WIDTHS
 from stickslip.analysis.models.episodes import QUANTITIES, REST, SLOW_DRIVE, Catalogue, drift
 from stickslip.analysis.models.magnitudes import (
     WIDTH,
@@ -252,10 +253,7 @@ def _moving(t: np.ndarray, n_stick: np.ndarray, n: int, t_start: float, t_end: f
 
 def systems(catalogues: Sequence[Catalogues]) -> list[list[Catalogues]]:
     """Groups of the same systems together, in their order: the others are compared with the first."""
-    by_key: dict[tuple[Any, ...], list[Catalogues]] = {}
-    for entry in catalogues:
-        by_key.setdefault(tuple(entry.group.key[name] for name in SYSTEM_KEYS), []).append(entry)
-    return list(by_key.values())
+    return [*by_key(catalogues, lambda entry: entry.group.system).values()]
 
 
 def bent(groups: Iterable[Catalogues]) -> list[Alert]:

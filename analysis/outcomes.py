@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from stickslip.analysis.answer import Picture
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Form, Outcomes, Scale, Verdict
 from stickslip.analysis.findings.numbers import signs
@@ -34,9 +35,7 @@ def outcomes(other: str, steps: Sequence[Step], unit: str, noun: str, scope: str
     scene declares, are within. Each finding has the largest difference of its settings, or of those undecided.
     Where all are undecided they are named by their noun: "any change".
     """
-    settings: dict[Setting, list[Step]] = {}
-    for step in steps:
-        settings.setdefault(step.name, []).append(step)
+    settings = by_key(steps, lambda step: step.name)
     by_setting = {setting: outcome(of_setting) for setting, of_setting in settings.items()}
     findings = []
     for names in ((DIFFERENT,), (UNDECIDED, EQUAL)):

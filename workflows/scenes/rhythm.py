@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from scipy import special
 
 from stickslip.analysis.answer import Answer, Picture, lack, systems
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import (
     Basis,
@@ -156,11 +157,8 @@ def _trend(changed: Sequence[Change], key: str) -> str:
 def along(key: str, slow: Sequence[Slow]) -> list[Along]:
     """Sets of two or more groups that differ in one key only, sorted by it."""
     varied = [name for name in KEYS if len({motion.group.key[name] for motion in slow}) > 1 and name != key]
-    sets: dict[tuple[object, ...], list[Slow]] = {}
-    for motion in slow:
-        if motion.group.key[key]:
-            others = tuple(value for other, value in motion.group.key.items() if other != key)
-            sets.setdefault(others, []).append(motion)
+    with_key = [motion for motion in slow if motion.group.key[key]]
+    sets = by_key(with_key, lambda motion: tuple(value for other, value in motion.group.key.items() if other != key))
     return [
         Along(
             key,

@@ -15,6 +15,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 
 from stickslip.analysis.answer import Picture
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Form
 from stickslip.analysis.findings.numbers import signs, with_interval
@@ -32,15 +33,7 @@ from stickslip.analysis.models.attractors import (
     plane,
 )
 from stickslip.analysis.models.fates import LULL, QUIET, SUSTAINED, UNMOVED
-from stickslip.analysis.questions.runs.settled import (
-    OUTCOMES,
-    Grid,
-    Portion,
-    Runs,
-    Setting,
-    portions,
-    told_apart,
-)
+from stickslip.analysis.questions.runs.settled import OUTCOMES, Grid, Portion, Runs, Setting, portions, told_apart
 from stickslip.analysis.series.runs import by_number
 from stickslip.analysis.stats.survival import Curve
 from stickslip.analysis.style import PANEL, hues, panel
@@ -117,12 +110,7 @@ def _names(grid: Grid, settings: Sequence[Setting]) -> tuple[str, list[str]]:
 
 
 @panel()
-def shares(
-    ax: Axes,
-    key: str,
-    values: Sequence[str],
-    counts: Mapping[str, Sequence[float]],
-) -> None:
+def shares(ax: Axes, key: str, values: Sequence[str], counts: Mapping[str, Sequence[float]]) -> None:
     """Shares of runs by outcome, a bar for each value of a key, from above; `counts` are the runs at each value."""
     total, edge = np.maximum(np.sum([*counts.values()], axis=0), 1), np.zeros(len(values))
     for outcome, numbers in counts.items():
@@ -293,13 +281,15 @@ def _survival(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> Pictur
     key, values = _names(grid, chosen)
     unit = study.settings.units.of_key(key)
     tail = f" {unit}" if unit else ""
-    alike: dict[tuple[bytes, bytes], list[int]] = {}
-    for k, setting in enumerate(chosen):
-        t, share, _, _ = curves[setting.where]
-        alike.setdefault((t.tobytes(), share.tobytes()), []).append(k)
+
+    def course(k: int) -> tuple[bytes, bytes]:
+        t, share, _, _ = curves[chosen[k].where]
+        return t.tobytes(), share.tobytes()
+
+    alike = [*by_key(range(len(chosen)), course).values()]
     named_curves = {
         f"{key} = " * bool(key) + listed([values[k] for k in same]) + tail: curves[chosen[same[0]].where]
-        for same in alike.values()
+        for same in alike
     }
     t_end = max(setting.t_end for setting in settings)
     level = f"; bands: {100 * study.settings.confidence:g}% intervals, of curves that end between 0 and 100%"
@@ -310,7 +300,7 @@ def _survival(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> Pictur
     see = f"Curves fall {listed(ends).removesuffix(',')}. " if ends else ""
     count = f" {len(chosen)} of {len(settings)} settings are drawn." * (len(chosen) < len(settings))
     caption = f"{see}Share of runs that still stick{level}.{count}"
-    colours = hues(study, [chosen[same[0]].groups[0].label for same in alike.values()])
+    colours = hues(study, [chosen[same[0]].groups[0].label for same in alike])
     return Picture(partial(survival_curves, named_curves, colours, t_end, study.settings.units), caption)
 
 

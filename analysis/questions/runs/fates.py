@@ -17,6 +17,7 @@ import pandas as pd
 
 from stickslip.analysis import burn_in
 from stickslip.analysis.answer import Answer, Picture, Question, places
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.catalogues import fineness
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code, drift
@@ -38,7 +39,7 @@ from stickslip.analysis.findings.finding import (
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import based_on, listed
 from stickslip.analysis.groups import Group
-from stickslip.analysis.members import SYSTEM_KEYS, noun
+from stickslip.analysis.members import noun
 from stickslip.analysis.models.attractors import ESCAPING, PERIODIC, SLIDING, UNDECIDED
 from stickslip.analysis.models.fates import ENDS, FAILED, LULL, QUIET, is_unstable, survival
 from stickslip.analysis.questions.runs import bifurcations, coexistence, fate_figures, portraits
@@ -297,11 +298,8 @@ def _delays(study: Study) -> Iterator[Level]:
 
     Whether a certificate came in time makes no difference to an event, and systems are compared with themselves.
     """
-    of_system: dict[tuple[object, ...], list[Group]] = {}
     where = places(study)
-    for group in sorted(study.groups, key=fineness):
-        of_system.setdefault(tuple(group.key[name] for name in SYSTEM_KEYS), []).append(group)
-    for reference, *methods in of_system.values():
+    for reference, *methods in by_key(sorted(study.groups, key=fineness), lambda group: group.system).values():
         reference_times = _last_events(reference)
         for method in methods:
             delays = (_last_events(method) - reference_times).dropna().to_numpy()

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Basis, Regime
 from stickslip.analysis.findings.place import Place
@@ -172,8 +173,7 @@ class Grid(NamedTuple):
     @property
     def methods(self) -> dict[Label, list[Setting]]:
         """Settings by method."""
-        names = dict.fromkeys(setting.method for setting in self.settings)
-        return {name: [setting for setting in self.settings if setting.method == name] for name in names}
+        return by_key(self.settings, lambda setting: setting.method)
 
     def beside(self, setting: Setting) -> Place:
         """Where the line of a setting lies among those of its method."""
@@ -190,9 +190,7 @@ class Grid(NamedTuple):
 
 def grid_of(study: Study) -> Grid:
     """The unchanged runs of a study by setting; settings of which all runs failed are left out."""
-    like: dict[tuple[object, ...], list[Group]] = {}
-    for group in study.groups:
-        like.setdefault(tuple(_regardless_of_start(group).values()), []).append(group)
+    like = by_key(study.groups, lambda group: tuple(_regardless_of_start(group).values()))
     firsts = [groups[0] for groups in like.values()]
     names = apart(labels([_regardless_of_start(group) for group in firsts]))
     axes = _axes(firsts)
@@ -393,9 +391,7 @@ def regimes(
     Of more outcomes than lead a page, those come first that all runs of a setting share.
     """
     axis = grid.axes[0]
-    by_outcome: dict[tuple[Outcome, ...], list[slice]] = {}
-    for stretch in stretches(outcomes):
-        by_outcome.setdefault(outcomes[stretch.start], []).append(stretch)
+    by_outcome = by_key(stretches(outcomes), lambda stretch: outcomes[stretch.start])
     line_place = grid.beside(line[0]) + method
     in_order = [*by_outcome]
     if len(in_order) > MOST_LEADING:

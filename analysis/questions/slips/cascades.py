@@ -183,7 +183,7 @@ def gain(sums: Sums, confidence: float) -> Estimate:
 def answer(study: Study) -> Answer:
     """How cascade sizes fall off, beside what three nulls would give."""
     level = study.settings.confidence
-    sums = {group.label: _sums(study, group) for group in study.groups if group.has_onsets}
+    sums: dict[str, Sums] = {group.label: _sums(study, group) for group in study.groups if group.has_onsets}
     judged = [group for group in study.judged() if group.label in sums]
     if not judged and study.judged():
         return Answer(findings=[Lack("the decay rate of cascade sizes", Reason.MERGED)])
@@ -192,7 +192,7 @@ def answer(study: Study) -> Answer:
     # blocks are shifted where it is said what that gives
     alike = [_in_parts(study, entry) for entry in with_rate if _engine(entry) == _engine(with_rate[0])]
     sums |= {entry.group.label: entry for entry in alike}
-    sizes = {label: _sizes(entry, level) for label, entry in sums.items()}
+    sizes: dict[str, list[Size]] = {label: _sizes(entry, level) for label, entry in sums.items()}
     tables = {
         "law": frame_of(LawRow, [_law_row(entry, level) for entry in sums.values()]),
         "sizes": frame_of(Size, [size for of_group in sizes.values() for size in of_group]),
@@ -426,7 +426,7 @@ def _figures(
     half = student.half_width(level, PARTS - 1) * errors
     of_each = [Estimate(*ends) for ends in np.column_stack([values, values - half, values + half])]
     curves = [entry for entry in with_rate if entry.n == lead.n][:MOST_DRAWN]
-    labels: Sequence[Label] = apart([sums.group.name for sums in curves])
+    labels: Sequence[Label] = apart([sums.group.label for sums in curves])
     of_which = f" ({labels[0]})" if labels[0] else ""
     lasting, scatter = between(values, errors, PARTS - 1, level), ""
     if lasting.value is not None:

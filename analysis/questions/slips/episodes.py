@@ -16,13 +16,7 @@ import numpy as np
 
 from stickslip.analysis import answer as answers
 from stickslip.analysis.answer import Answer, Picture, Question
-from stickslip.analysis.catalogues import (
-    Catalogues,
-    bent,
-    fineness,
-    read,
-    systems,
-)
+from stickslip.analysis.catalogues import Catalogues, bent, fineness, read, systems
 from stickslip.analysis.contrast import Contrast, Statistic, contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code, drift
@@ -407,7 +401,7 @@ def _is_blurred(group: Catalogues) -> bool:
 def _changes(leaders: Sequence[Catalogues], level: float, unit: str) -> list[Change]:
     """From the first of a row of systems to the last: mean size, and episodes per travel of the belt."""
     smallest, largest = leaders[0], leaders[-1]
-    ends = [dict(group.group.name.parts) for group in (smallest, largest)]
+    ends = [dict(group.group.label.parts) for group in (smallest, largest)]
     keys = [key for key in ends[0] if key and ends[0][key] != ends[1].get(key)]
     if len(keys) != 1:
         return []
