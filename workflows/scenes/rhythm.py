@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy import special
 
-from stickslip.analysis.answer import Answer, Picture, lack, systems
+from stickslip.analysis.answer import Answer, Picture, systems
 from stickslip.analysis.by_key import by_key
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import (
@@ -34,7 +34,7 @@ from stickslip.analysis.findings.numbers import signs, span
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.grid import is_negative
 from stickslip.analysis.models.common_motion import Number
-from stickslip.analysis.questions.slips.slow_motion import Slow, misfits, slow_motion
+from stickslip.analysis.questions.slips.slow_motion import Slow, misfits, slow_motions
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import Compared
 from stickslip.analysis.stats.estimates import Estimate, jackknife_error, with_ends
@@ -104,12 +104,10 @@ def question(study: Study) -> Answer:
     everywhere at once, and adjusted for the number of comparisons. A power is fitted by weighted least squares of
     logarithms where a key spans a factor of two.
     """
-    if not study.data.events:
-        return Answer(findings=[Lack(WHAT, Reason.NOT_RECORDED, "set events = true under [record]")])
-    judged = study.judged()
-    if not judged:
-        return Answer(findings=[lack(study, WHAT)])
-    slow = [motion for group in judged if (motion := study.once(slow_motion, group)) is not None and motion.is_shown]
+    motions = slow_motions(study, WHAT)
+    if isinstance(motions, Lack):
+        return Answer(findings=[motions])
+    slow = [motion for motion in motions if motion.is_shown]
     missed = misfits(slow, study.settings.confidence)  # what is fitted there is no number of the motion
     lines = [
         line for key in KEYS for line in along(key, [motion for motion in slow if motion.group.label not in missed])
