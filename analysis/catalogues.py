@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -96,11 +96,12 @@ class Catalogues:
     def whole(self) -> Estimate:
         """The share of episodes in which all blocks slip."""
         n = self.group.key["n"]
-        rows = [
-            [sum(np.count_nonzero(run.size == n) for run in runs), sum(len(run.size) for run in runs)]
-            for runs in self.runs.values()
-        ]
-        return within(over_matrices(ratio, np.array(rows, dtype=np.float64), self.confidence), 0.0, 1.0)
+        return within(self.ratio(lambda run: (float(np.sum(run.size == n)), len(run.size))), 0.0, 1.0)
+
+    def ratio(self, sums: Callable[[Catalogue], tuple[float, float]]) -> Estimate:
+        """One sum over runs divided by another, with its interval over units."""
+        rows = [np.sum([sums(run) for run in runs], axis=0) for runs in self.runs.values()]
+        return over_matrices(ratio, np.array(rows, dtype=np.float64), self.confidence)
 
     @cached_property
     def law(self) -> Magnitudes:
@@ -189,19 +190,6 @@ class Catalogues:
         """Whether the law of these episodes may be judged: there are enough, and their rate does not drift."""
         halves = np.array([sum(run.halves() for run in runs) for runs in self.runs.values()])
         return enough.basis(halves, int(halves.sum()), self.confidence, drift)
-
-    def at_least(self, magnitude: float) -> dict[int, np.ndarray]:
-        """Number of episodes of at least that magnitude and the time in which they were counted, by unit."""
-        return {
-            unit: np.array(
-                [
-                    sum(np.count_nonzero(run.magnitude >= magnitude) for run in runs),
-                    sum(run.t_stop - run.t_start for run in runs),
-                ],
-                dtype=np.float64,
-            )
-            for unit, runs in self.runs.items()
-        }
 
 
 def read(study: Study) -> list[Catalogues]:

@@ -45,11 +45,6 @@ class Comparison:
     change: Change
     pairs: tuple[Pair, ...]
 
-    @property
-    def changed(self) -> np.ndarray:
-        """Rows of the changed members."""
-        return np.array([pair.changed for pair in self.pairs])
-
     def of(self, matrix: int) -> list[int]:
         """Rows of the changed members of a matrix."""
         return [pair.changed for pair in self.pairs if pair.matrix == matrix]

@@ -285,11 +285,6 @@ def sums(steps: np.ndarray, dt: float | None = None) -> dict[Law, np.ndarray]:
 
 def _falls(steps: np.ndarray) -> np.ndarray:
     """Total depth, total number of steps and number of the complete falls in a series of steps, shape (3,)."""
-    falling = steps < 0
-    if falling.all():
-        return np.zeros(3)
-    begin, end = np.argmin(falling), len(steps) - np.argmin(falling[::-1])
-    falling = falling[begin:end]
-    n_steps = np.count_nonzero(falling)
-    n_joined = np.count_nonzero(falling[1:] & falling[:-1])
-    return np.array([-np.minimum(steps[begin:end], 0).sum(), n_steps, n_steps - n_joined], dtype=np.float64)
+    path = np.append(0, np.cumsum(steps))
+    start, stop = falls(path)
+    return np.array([(path[start] - path[stop]).sum(), (stop - start).sum(), len(start)], dtype=np.float64)

@@ -7,7 +7,7 @@ upper ends of intervals take them as going on. All others are censored at t_end.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -136,13 +136,12 @@ def answer(study: Study) -> Answer | None:
     is_short = {row.group for row in tested if row.is_short} - recorded
     short = [group for group in groups if group.label in is_short]
     by_t_burn = [row for group in short[:1] for row in burn_in.estimates(study, group)]
-    figures = _in_order(
-        bool(each),
-        any(len(setting.kinds) > 1 for setting in grid.settings),
-        fate_figures.pictures(study, grid, {row.setting.where: row.curve for row in ends}),
-        bifurcations.pictures(study, grid, boundaries),
-        portraits.pictures(study, grid),
-    )
+    of_fates = fate_figures.pictures(study, grid, {row.setting.where: row.curve for row in ends})
+    diagrams, typical = bifurcations.pictures(study, grid, boundaries), portraits.pictures(study, grid)
+    figures = {**of_fates, **diagrams, **typical}
+    if each:  # of what attracts along a key the diagram first, then shares, if any setting has several
+        is_mixed = any(len(setting.kinds) > 1 for setting in grid.settings)
+        figures = {**diagrams, **of_fates, **typical} if is_mixed else {**diagrams, **typical, **of_fates}
     figures |= _along_t_burn(study, by_t_burn)
     return Answer(
         findings=[*leading, *secondary] or [Lack("what became of the runs", Reason.ALL_FAILED)],
@@ -160,19 +159,6 @@ def answer(study: Study) -> Answer | None:
         },
         figures=figures,
     )
-
-
-def _in_order(
-    is_along: bool,
-    is_mixed: bool,
-    fates: Mapping[str, Picture],
-    diagrams: Mapping[str, Picture],
-    typical: Mapping[str, Picture],
-) -> dict[str, Picture]:
-    """The figures: of what attracts along a key the diagram first, then shares, if any setting has several."""
-    if not is_along:
-        return {**fates, **diagrams, **typical}
-    return {**diagrams, **fates, **typical} if is_mixed else {**diagrams, **typical, **fates}
 
 
 # ------------------------------------------------------------------------------------------------- findings
@@ -281,10 +267,9 @@ def _shares(study: Study, settings: Sequence[Setting], where: Place, most: int |
 
 def _beside(row: Portion, published: float | None) -> Comparison | None:
     """A share beside the one that the scene names as published."""
-    share = row.share
-    if published is None or share.value is None or share.low is None or share.high is None:
+    if published is None or row.share.low is None or row.share.high is None:
         return None
-    difference = Estimate(share.value - published, share.low - published, share.high - published)
+    difference = row.share.under(lambda share: share - published)
     return Comparison(f"the published {100 * published:g}%", Difference(difference, Scale.ABSOLUTE))
 
 

@@ -6,7 +6,7 @@ runs that differ in their start alone are of one setting, drawn or swept.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
@@ -179,6 +179,14 @@ class Grid(NamedTuple):
         """Where the line of a setting lies among those of its method."""
         axes = zip(self.axes[1:], setting.at[1:], strict=True)
         return Place(tuple((axis.name, in_words(row)) for axis, row in axes))
+
+    @property
+    def recorded_lines(self) -> Iterator[list[Setting]]:
+        """Lines along numbers, method by method, of settings of which it is recorded what their runs settle on."""
+        if self.axes and self.axes[0].x is not None:
+            for settings in self.methods.values():
+                recorded = [setting for setting in settings if setting.is_recorded]
+                yield from self.lines(recorded) if recorded else ()
 
     def lines(self, settings: Sequence[Setting]) -> list[list[Setting]]:
         """Settings of a method along the first axis, at each row of the others."""
