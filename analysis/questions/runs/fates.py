@@ -340,18 +340,14 @@ def _means(study: Study, settings: Sequence[Setting]) -> list[Level]:
     """Mean n_stick of the runs still going, which include those that slide but will stick again."""
     groups = [group for setting in settings for group in setting.groups if study.unit != "start"]
     groups.sort(key=lambda group: -int(group.key["n"]))
-    means, where = [(group, group.mean(study.settings.confidence)) for group in groups], places(study)
-    return [
-        Level(MEAN, mean, where[group.label] + _lulls(group), None, Basis(len(group.units), noun(study.unit)))
-        for group, mean in means
-        if mean.value is not None
-    ]
-
-
-def _lulls(group: Group) -> Place:
-    """How many of the runs of a group still going slide at their end but will stick again."""
-    n_lull = int(np.sum(group.fates == LULL))
-    return Place.words(f"{n_lull} of {group.n_moving} runs slide but will stick again" * bool(n_lull))
+    where, levels = places(study), list[Level]()
+    for group in groups:
+        mean, n_lull = group.mean(study.settings.confidence), int(np.sum(group.fates == LULL))
+        if mean.value is not None:
+            in_lull = Place.words(f"{n_lull} of {group.n_moving} runs slide but will stick again" * bool(n_lull))
+            basis = Basis(len(group.units), noun(study.unit))
+            levels.append(Level(MEAN, mean, where[group.label] + in_lull, None, basis))
+    return levels
 
 
 def _alerts(study: Study, grid: Grid, ends: Sequence[Ends], short: Sequence[Group]) -> list[Alert]:
