@@ -108,11 +108,6 @@ class Question:
         )
 
 
-def systems(study: Study) -> str:
-    """What the independent units are called, in the singular."""
-    return noun(study.unit)
-
-
 def places(study: Study) -> dict[str, Place]:
     """What tells each setting from all others, by its label; n and the engine, where there are several engines."""
     n_always = 2 * (len({group.key["engine"] for group in study.groups}) > 1)
@@ -132,7 +127,7 @@ def lack(study: Study, what: str) -> Lack:
         (group.basis(study.settings.confidence) for group in study.groups), key=lambda basis: basis.n_cascades
     )
     reason = _REASONS[basis.code] if basis.n_matrices else Reason.NO_MOTION
-    detail = f"{plural(basis.n_matrices, systems(study))}, {plural(basis.n_cascades, 'cascade')}"
+    detail = f"{plural(basis.n_matrices, noun(study.unit))}, {plural(basis.n_cascades, 'cascade')}"
     if reason is Reason.DRIFT:
         detail = f"the number of sticking blocks still drifts after t = {study.settings.at(study.settings.t_burn)}"
     return Lack(what, reason, detail * bool(basis.n_matrices))

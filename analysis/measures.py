@@ -332,7 +332,7 @@ def of_windows(study: Study, keys: Collection[str] = tuple(OF_N_STICK)) -> list[
     measured = []
     for key, quantity in OF_N_STICK.items():
         if key in keys and key in study.compared:
-            statistic = Statistic(quantity.label, quantity.of, study.margins.get(key), least=0.0)
+            statistic = Statistic(quantity.label, quantity.of, study.settings.margins.get(key), least=0.0)
             statistic = replace(statistic, title=quantity.title, things=quantity.things, dimension=quantity.dimension)
             measured.append(Measure(statistic, key, partial(_window_sums, key, study.settings.confidence)))
     return measured

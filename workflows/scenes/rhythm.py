@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy import special
 
-from stickslip.analysis.answer import Answer, Picture, systems
+from stickslip.analysis.answer import Answer, Picture
 from stickslip.analysis.by_key import by_key
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import (
@@ -33,6 +33,7 @@ from stickslip.analysis.findings.finding import (
 from stickslip.analysis.findings.numbers import signs, span
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.grid import is_negative
+from stickslip.analysis.members import noun
 from stickslip.analysis.models.common_motion import Number
 from stickslip.analysis.questions.slips.slow_motion import Slow, misfits, slow_motions
 from stickslip.analysis.stats import student
@@ -115,7 +116,7 @@ def question(study: Study) -> Answer:
     if not lines:
         return Answer(findings=[Lack(WHAT, Reason.ONE_VALUE if slow else Reason.NOT_SHOWN)])
     confidence = study.settings.confidence
-    changed = changes(lines, systems(study), confidence)
+    changed = changes(lines, noun(study.unit), confidence)
     changed.sort(key=_rank)
     powers = [power for key in KEYS for name in NUMBERS if (power := power_law(name, key, lines, confidence))]
     wide = [power for power in powers if power.last_value >= LEAST_FACTOR * power.first_value]

@@ -9,7 +9,7 @@ from math import pi
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullLocator
 
-from stickslip.analysis.answer import Answer, Picture, Question, Recipe, places, systems
+from stickslip.analysis.answer import Answer, Picture, Question, Recipe, places
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import Basis, Finding, Fit, Form, Lack, Law, Level, Quantity, Reason
@@ -17,6 +17,7 @@ from stickslip.analysis.findings.numbers import number, signs
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import listed
 from stickslip.analysis.groups import Group
+from stickslip.analysis.members import noun
 from stickslip.analysis.models.common_motion import SURROGATES, Number, Shown
 from stickslip.analysis.questions.slips.slow_motion import CYCLES, Band, Slow, misfits, slow_motions
 from stickslip.analysis.questions.slips.triggering import CLUSTERING, exits_of, triggered
@@ -55,7 +56,7 @@ def answer(study: Study) -> Answer:
     motions.sort(key=lambda motion: not motion.is_shown)  # of like ones the first leads
     if not motions:
         return Answer(findings=[Lack(WHAT, Reason.FEW_EVENTS)])
-    level, lead, where_of, unit = study.settings.confidence, motions[0], places(study), systems(study)
+    level, lead, where_of, unit = study.settings.confidence, motions[0], places(study), noun(study.unit)
     exits, where = exits_of(study, lead.group), where_of[lead.group.label]
     bands = {motion.group.label: motion.bands(level) for motion in motions[:MOST_GROUPS]}
     fitted = [motion for motion in motions if motion.is_shown]

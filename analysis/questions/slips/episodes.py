@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stickslip.analysis import answer as answers
 from stickslip.analysis.answer import Answer, Picture, Question
 from stickslip.analysis.catalogues import Catalogues, bent, fineness, read, systems
 from stickslip.analysis.contrast import Contrast, Statistic, contrast
@@ -40,7 +39,7 @@ from stickslip.analysis.findings.finding import (
 from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital, listed, plural
-from stickslip.analysis.members import DRAWN
+from stickslip.analysis.members import DRAWN, noun
 from stickslip.analysis.methods import MAGNITUDES, PRIMARY, Apart, compare, names, settings_of
 from stickslip.analysis.models.episodes import (
     BY_WAY,
@@ -247,7 +246,7 @@ def answer(study: Study) -> Answer | None:
             Hazard, [Hazard(group.label, *row) for group in leaders for row in group.recurrence.bins]
         ),
     }
-    basis = answers.systems(study)
+    basis = noun(study.unit)
     is_told = len(leaders) > 1 or lead is not by_system[0][0]
     places = {group.label: Place.of(group.method) if is_told else EVERYWHERE for group in leaders}
     in_order = sorted(leaders, key=lambda group: group is not lead)
@@ -286,7 +285,7 @@ def _lack(study: Study, groups: Sequence[Catalogues]) -> Lack:
     if not groups:
         return Lack("the statistics of episodes", Reason.CREEP)
     richest = max(groups, key=lambda group: group.n_episodes)
-    detail = f"{plural(len(richest.runs), answers.systems(study))}, {plural(richest.n_episodes, 'episode')}"
+    detail = f"{plural(len(richest.runs), noun(study.unit))}, {plural(richest.n_episodes, 'episode')}"
     return Lack("the statistics of episodes", _REASONS[richest.basis.code], detail)
 
 
@@ -422,7 +421,7 @@ def along(first: Catalogues, last: Catalogues, name: str, level: float) -> Contr
 
 def _picture(study: Study, group: Catalogues, where: Place) -> list[Finding]:
     """What the magnitudes of a group are like: the law with its b, and its cut-off, its peak and how far it goes."""
-    law, basis = group.law, Basis(len(group.runs), answers.systems(study))
+    law, basis = group.law, Basis(len(group.runs), noun(study.unit))
     moments = "moments of episodes"
     if law.picture is Kind.OPEN:
         return [Lack(f"the law of moments{where.tail}", Reason.NOT_SHOWN, law.why)]
