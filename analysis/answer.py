@@ -12,12 +12,11 @@ from stickslip.analysis import arguments
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert
 from stickslip.analysis.findings.finding import Finding, Lack, Reason
-from stickslip.analysis.findings.place import Place
+from stickslip.analysis.findings.place import Place, told_apart
 from stickslip.analysis.findings.words import plural
 from stickslip.analysis.members import noun
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate
-from stickslip.pipeline.design.labels import apart
 
 #: Draws a figure from plain data when called.
 Recipe = Callable[[], Figure]
@@ -67,14 +66,6 @@ class Answer:
         return all(isinstance(finding, Lack) for finding in self.findings)
 
 
-def _always(study: Study) -> bool:
-    return True
-
-
-def _alone(study: Study) -> tuple[str, ...]:
-    return ()
-
-
 @dataclass(frozen=True)
 class Question:
     """A question of a report: what answers it, and when it leads the page.
@@ -107,8 +98,8 @@ class Question:
     share: float = 0.0
     of_cascades: bool = False
     rank: int | None = None
-    leads: Callable[[Study], bool] = _always
-    beside: Callable[[Study], tuple[str, ...]] = _alone
+    leads: Callable[[Study], bool] = lambda _: True
+    beside: Callable[[Study], tuple[str, ...]] = lambda _: ()
 
     def is_asked_of(self, study: Study) -> bool:
         """Whether data of this kind can have an answer."""
@@ -117,16 +108,10 @@ class Question:
         )
 
 
-def systems(study: Study) -> str:
-    """What the independent units are called, in the singular."""
-    return noun(study.unit)
-
-
 def places(study: Study) -> dict[str, Place]:
     """What tells each setting from all others, by its label; n and the engine, where there are several engines."""
     n_always = 2 * (len({group.key["engine"] for group in study.groups}) > 1)
-    names = apart([group.name for group in study.groups], n_always)
-    return {group.label: Place.of(name) for group, name in zip(study.groups, names, strict=True)}
+    return told_apart([group.label for group in study.groups], n_always)
 
 
 _REASONS = {
@@ -138,9 +123,11 @@ _REASONS = {
 
 def lack(study: Study, what: str) -> Lack:
     """Why no group allows a statistic of a steady state, where `Study.judged` gives none."""
-    basis = max((group.basis(study.settings.confidence) for group in study.groups), key=lambda one: one.n_cascades)
+    basis = max(
+        (group.basis(study.settings.confidence) for group in study.groups), key=lambda basis: basis.n_cascades
+    )
     reason = _REASONS[basis.code] if basis.n_matrices else Reason.NO_MOTION
-    detail = f"{plural(basis.n_matrices, systems(study))}, {plural(basis.n_cascades, 'cascade')}"
+    detail = f"{plural(basis.n_matrices, noun(study.unit))}, {plural(basis.n_cascades, 'cascade')}"
     if reason is Reason.DRIFT:
         detail = f"the number of sticking blocks still drifts after t = {study.settings.at(study.settings.t_burn)}"
     return Lack(what, reason, detail * bool(basis.n_matrices))

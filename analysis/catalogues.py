@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.groups import Group
-from stickslip.analysis.members import STEPS, SYSTEM_KEYS, TOLERANCES, WIDTHS
+from stickslip.analysis.members import STEPS, TOLERANCES, WIDTHS
 from stickslip.analysis.models.episodes import QUANTITIES, REST, SLOW_DRIVE, Catalogue, drift
 from stickslip.analysis.models.magnitudes import (
     WIDTH,
@@ -95,11 +96,12 @@ class Catalogues:
     def whole(self) -> Estimate:
         """The share of episodes in which all blocks slip."""
         n = self.group.key["n"]
-        rows = [
-            [sum(np.count_nonzero(run.size == n) for run in runs), sum(len(run.size) for run in runs)]
-            for runs in self.runs.values()
-        ]
-        return within(over_matrices(ratio, np.array(rows, dtype=np.float64), self.confidence), 0.0, 1.0)
+        return within(self.ratio(lambda run: (float(np.sum(run.size == n)), len(run.size))), 0.0, 1.0)
+
+    def ratio(self, sums: Callable[[Catalogue], tuple[float, float]]) -> Estimate:
+        """One sum over runs divided by another, with its interval over units."""
+        rows = [np.sum([sums(run) for run in runs], axis=0) for runs in self.runs.values()]
+        return over_matrices(ratio, np.array(rows, dtype=np.float64), self.confidence)
 
     @cached_property
     def law(self) -> Magnitudes:
@@ -189,19 +191,6 @@ class Catalogues:
         halves = np.array([sum(run.halves() for run in runs) for runs in self.runs.values()])
         return enough.basis(halves, int(halves.sum()), self.confidence, drift)
 
-    def at_least(self, magnitude: float) -> dict[int, np.ndarray]:
-        """Number of episodes of at least that magnitude and the time in which they were counted, by unit."""
-        return {
-            unit: np.array(
-                [
-                    sum(np.count_nonzero(run.magnitude >= magnitude) for run in runs),
-                    sum(run.t_stop - run.t_start for run in runs),
-                ],
-                dtype=np.float64,
-            )
-            for unit, runs in self.runs.items()
-        }
-
 
 def read(study: Study) -> list[Catalogues]:
     """The catalogues of each group with a run that reached t_end, in the order of `fineness`; none if unrecorded."""
@@ -252,10 +241,7 @@ def _moving(t: np.ndarray, n_stick: np.ndarray, n: int, t_start: float, t_end: f
 
 def systems(catalogues: Sequence[Catalogues]) -> list[list[Catalogues]]:
     """Groups of the same systems together, in their order: the others are compared with the first."""
-    by_key: dict[tuple[Any, ...], list[Catalogues]] = {}
-    for entry in catalogues:
-        by_key.setdefault(tuple(entry.group.key[name] for name in SYSTEM_KEYS), []).append(entry)
-    return list(by_key.values())
+    return [*by_key(catalogues, lambda entry: entry.group.system).values()]
 
 
 def bent(groups: Iterable[Catalogues]) -> list[Alert]:

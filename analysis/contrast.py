@@ -128,9 +128,7 @@ class PerEvent(Statistic):
     """
 
     def estimate(self, sums: UnitSums, confidence: float) -> Estimate:
-        log = over_matrices(lambda rows: np.log(self.of(rows)), sums.rows, confidence)
-        value, low, high = (None if end is None else float(np.exp(end)) for end in (log.value, log.low, log.high))
-        return Estimate(value, low, high, log.reason)
+        return over_matrices(lambda rows: np.log(self.of(rows)), sums.rows, confidence).under(np.exp)
 
 
 @dataclass(frozen=True)

@@ -299,11 +299,6 @@ class Study:
         return {*QUANTITIES} - ({"gamma"} if self.data.episodes is not None else set())
 
     @property
-    def margins(self) -> Mapping[str, float]:
-        """Margins of equivalence by quantity."""
-        return self.settings.margins
-
-    @property
     def unit(self) -> str:
         """The kind of unit that most groups have."""
         return Counter(group.unit for group in self.groups).most_common(1)[0][0]

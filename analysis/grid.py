@@ -8,9 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.contrast import Statistic
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.place import Place
+from stickslip.analysis.findings.place import Place, told_apart
 from stickslip.analysis.groups import Group
 from stickslip.analysis.measures import MOTION, Measure, Values, measures
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
@@ -19,7 +20,7 @@ from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums
 from stickslip.pipeline.design.design import Axis
 from stickslip.pipeline.design.design import Row as KeyValues
-from stickslip.pipeline.design.labels import Label, apart, labels
+from stickslip.pipeline.design.labels import Label, labels
 from stickslip.pipeline.design.values import Rank, Value, ranks
 
 #: What the name of a setting says, beside its method.
@@ -57,9 +58,7 @@ class Point:
 
 def settings(groups: Iterable[Group]) -> dict[Label, list[Group]]:
     """Groups that differ only in keys that are swept, by the name of what they share."""
-    by_source: dict[tuple[int, int], list[Group]] = {}
-    for group in groups:
-        by_source.setdefault((group.point.source, group.setting["method"]), []).append(group)
+    by_source = by_key(groups, lambda group: (group.point.source, group.setting["method"]))
     keys = [{name: groups[0].key[name] for name in (*FIXED, *ENGINE_KEYS)} for groups in by_source.values()]
     return dict(zip(labels(keys), by_source.values(), strict=True))
 
@@ -134,10 +133,9 @@ class Grid:
         return [estimate(measure.statistic, points_at(points, axis, row), self.confidence) for row in axis.rows]
 
     @cached_property
-    def where(self) -> dict[Label, Place]:
+    def where(self) -> dict[str, Place]:
         """What tells each setting from the others."""
-        labels = [*self.points]
-        return dict(zip(labels, map(Place.of, apart(labels)), strict=True))
+        return told_apart([*self.points])
 
 
 def balanced(sums: Sequence[UnitSums]) -> tuple[list[int], UnitSums]:

@@ -57,7 +57,7 @@ class Group:
 
     Attributes
     ----------
-    label : str
+    label : Label
         n, engine and whatever distinguishes it from the others.
     key : dict
         The values that all members share, for `SYSTEM_KEYS` and `ENGINE_KEYS`.
@@ -81,7 +81,7 @@ class Group:
         Members in motion whose window is too short for a correlation time.
     """
 
-    label: str
+    label: Label
     key: dict[str, Any]
     table: Members
     rows: np.ndarray
@@ -135,9 +135,9 @@ class Group:
         return self.table.settings[int(self.column("setting").iloc[0])]
 
     @property
-    def name(self) -> Label:
-        assert isinstance(self.label, Label)
-        return self.label
+    def system(self) -> tuple[Any, ...]:
+        """The values of `SYSTEM_KEYS`, the same in groups of the same systems."""
+        return tuple(self.key[name] for name in SYSTEM_KEYS)
 
     @property
     def unit(self) -> Unit:

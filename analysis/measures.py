@@ -134,7 +134,7 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
 
 def _episodes(by_label: Mapping[str, Catalogues], name: str, group: Group) -> Values:
     """The sums of a quantity of episodes over the runs of a group that reached t_end."""
-    missing = _without(group, ~group.is_finished, lambda _, outcome: outcome)
+    missing = _unfinished(group)
     catalogues = by_label.get(group.label)
     if catalogues is None:
         return Values(missing=missing)
@@ -152,7 +152,7 @@ def _episodes(by_label: Mapping[str, Catalogues], name: str, group: Group) -> Va
 
 def _b(by_label: Mapping[str, Catalogues], limits: tuple[float, float] | None, group: Group) -> Values:
     """Sums of systems whose ratio is b, on limits that all groups have, or on the group's own."""
-    missing = _without(group, ~group.is_finished, lambda _, outcome: outcome)
+    missing = _unfinished(group)
     catalogues = by_label.get(group.label)
     if catalogues is None:
         return Values(missing=missing)
@@ -167,10 +167,19 @@ def _b(by_label: Mapping[str, Catalogues], limits: tuple[float, float] | None, g
     return Values(UnitSums.of([*catalogues.runs], rows), missing)
 
 
-def _without(group: Group, lacks: np.ndarray, why: Callable[[str, str], str]) -> dict[str, str]:
-    """Why some runs of a group have no value, from the name and the outcome of each."""
+def _unmeasured(group: Group, lacks: np.ndarray, problems: Mapping[str, str], reason: str) -> dict[str, str]:
+    """Why some runs of a group have no value: they failed, or had a problem, or for a reason that all others have."""
     names, outcomes = (group.column(name)[lacks] for name in ("member_id", "outcome"))
-    return {str(name): why(name, outcome) for name, outcome in zip(names, outcomes, strict=True)}
+    return {
+        str(name): FAILED if outcome == FAILED else problems.get(name, reason)
+        for name, outcome in zip(names, outcomes, strict=True)
+    }
+
+
+def _unfinished(group: Group) -> dict[str, str]:
+    """The outcomes of the runs of a group that did not reach t_end."""
+    names, outcomes = (group.column(name)[~group.is_finished] for name in ("member_id", "outcome"))
+    return dict(zip(map(str, names), map(str, outcomes), strict=True))
 
 
 # ---------------------------------------------------------------------------------------- columns of records
@@ -222,10 +231,7 @@ def _of_column(name: str, column: Recorded, numbers: np.ndarray, t_burn: float) 
 
 
 def _column(numbers: np.ndarray, problems: Mapping[str, str], reason: str, group: Group) -> Values:
-    def why(name: str, outcome: str) -> str:
-        return outcome if outcome == FAILED else problems.get(name, reason)
-
-    return Values(group.sums_of(numbers), _without(group, ~np.isfinite(numbers[group.rows]), why))
+    return Values(group.sums_of(numbers), _unmeasured(group, ~np.isfinite(numbers[group.rows]), problems, reason))
 
 
 def _share(numbers: np.ndarray, values: Callable[[Group], Values], group: Group) -> Values:
@@ -248,7 +254,7 @@ def _per_exit(group: Group) -> Values:
     n_contacts = members[CONTACTS].fillna(n) if CONTACTS in members else np.full(len(members), n)
     contacts = UnitSums.of(members["unit"], np.column_stack([n_contacts, np.ones(len(members))]))
     rates = ratio(exits.rows) / ratio(contacts.rows)
-    missing = _without(group, ~goes_on, lambda _, outcome: outcome if outcome == FAILED else STILL)
+    missing = _unmeasured(group, ~goes_on, {}, STILL)
     return Values(UnitSums(exits.units, np.column_stack([rates, np.ones(len(rates))])), missing)
 
 
@@ -305,12 +311,7 @@ def _restricted(study: Study, name: str, limit: float, group: Group) -> Values:
 def _times(study: Study, name: str, group: Group) -> tuple[Times, dict[str, str]]:
     """A time of the runs of a group, and why others have none: that it did not happen is no reason."""
     times, is_known = study.times(group, name)
-    problems = study.data.recorded[name].problems
-
-    def why(member_id: str, outcome: str) -> str:
-        return outcome if outcome == FAILED else problems.get(member_id, NO_VALUE)
-
-    return times, _without(group, ~is_known, why)
+    return times, _unmeasured(group, ~is_known, study.data.recorded[name].problems, NO_VALUE)
 
 
 # ------------------------------------------------------------------------------------------------- n_stick
@@ -331,7 +332,7 @@ def of_windows(study: Study, keys: Collection[str] = tuple(OF_N_STICK)) -> list[
     measured = []
     for key, quantity in OF_N_STICK.items():
         if key in keys and key in study.compared:
-            statistic = Statistic(quantity.label, quantity.of, study.margins.get(key), least=0.0)
+            statistic = Statistic(quantity.label, quantity.of, study.settings.margins.get(key), least=0.0)
             statistic = replace(statistic, title=quantity.title, things=quantity.things, dimension=quantity.dimension)
             measured.append(Measure(statistic, key, partial(_window_sums, key, study.settings.confidence)))
     return measured

@@ -116,12 +116,6 @@ class Members:
         """Some of them, by their rows, whose numbers they keep."""
         return replace(self, own=self.own.iloc[rows])
 
-    def of_each(self, name: str) -> np.ndarray:
-        """A value of the settings for each member, shape (R,), of objects."""
-        values = np.empty(len(self.settings), dtype=object)
-        values[:] = [setting[name] for setting in self.settings]
-        return values[self.own["setting"]]
-
     @property
     def together(self) -> pd.DataFrame:
         """One row a member, with all columns."""

@@ -134,5 +134,5 @@ def names(groups: Sequence[Catalogues]) -> list[Label]:
     """Names of groups by what tells them apart; what all share is told by none."""
     return [
         name if name else Label.of([("", engine_name(group.group.key["engine"]))])
-        for group, name in zip(groups, labels_apart([group.group.name for group in groups]), strict=True)
+        for group, name in zip(groups, labels_apart([group.group.label for group in groups]), strict=True)
     ]

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from stickslip.analysis.answer import Picture
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Form, Outcomes, Scale, Verdict
 from stickslip.analysis.findings.numbers import signs
@@ -34,9 +35,7 @@ def outcomes(other: str, steps: Sequence[Step], unit: str, noun: str, scope: str
     scene declares, are within. Each finding has the largest difference of its settings, or of those undecided.
     Where all are undecided they are named by their noun: "any change".
     """
-    settings: dict[Setting, list[Step]] = {}
-    for step in steps:
-        settings.setdefault(step.name, []).append(step)
+    settings = by_key(steps, lambda step: step.name)
     by_setting = {setting: outcome(of_setting) for setting, of_setting in settings.items()}
     findings = []
     for names in ((DIFFERENT,), (UNDECIDED, EQUAL)):
@@ -103,7 +102,12 @@ def _ranges(settings: Sequence[tuple[Setting, bool]]) -> Iterator[str]:
 
 def forest(study: Study | None, steps: Sequence[Step], what: str, name: str = "contrasts") -> dict[str, Picture]:
     """The figure of differences in per cent with their intervals, by its name; none of fewer than two."""
-    rows = [step for step in steps if _in_per_cent(step) and step.contrast.difference.estimate.low is not None]
+    in_per_cent = [
+        step
+        for step in steps
+        if step.contrast.difference.scale is Scale.RELATIVE or step.contrast.statistic.quantity.form is Form.SHARE
+    ]
+    rows = [step for step in in_per_cent if step.contrast.difference.estimate.low is not None]
     if len(rows) < 2:
         return {}
     top = rows[:MOST_ROWS]
@@ -122,12 +126,6 @@ def _axis(steps: Sequence[Step]) -> tuple[np.ndarray, float]:
     reach = np.abs(ends).max(axis=1)
     limit = max(1.5 * np.abs(ends[:, 0]).max(), 4.0 * float(np.median(reach)))
     return ends, 1.08 * min(reach.max(), limit) or 1.0
-
-
-def _in_per_cent(step: Step) -> bool:
-    """Whether a difference is one of per cent or percentage points."""
-    is_relative = step.contrast.difference.scale is Scale.RELATIVE
-    return is_relative or step.contrast.statistic.quantity.form is Form.SHARE
 
 
 def differences(steps: Sequence[Step], colours: Sequence[str] = HUES) -> Figure:

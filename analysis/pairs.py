@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members, records
 from stickslip.analysis.models.fates import DIVERGED, FAILED, SETTLED
@@ -43,11 +44,6 @@ class Comparison:
 
     change: Change
     pairs: tuple[Pair, ...]
-
-    @property
-    def changed(self) -> np.ndarray:
-        """Rows of the changed members."""
-        return np.array([pair.changed for pair in self.pairs])
 
     def of(self, matrix: int) -> list[int]:
         """Rows of the changed members of a matrix."""
@@ -157,11 +153,13 @@ def settings(members: Members) -> list[Setting]:
     design = members.design
     if len(design.changes) == 1 and not any(map(_is_drawn, design.methods)):
         return []
-    numbers: dict[tuple[Any, ...], list[int]] = {}
-    for k, values in enumerate(members.settings):
-        method = design.methods[values["method"]]
+
+    def regardless_of_ratios(k: int) -> tuple[Any, ...]:
+        method = design.methods[members.settings[k]["method"]]
         fixed = tuple(pair for pair in method.settings if pair[0] != "ratio")
-        numbers.setdefault((values["point"], method.engine, fixed), []).append(k)
+        return members.settings[k]["point"], method.engine, fixed
+
+    numbers = by_key(range(len(members.settings)), regardless_of_ratios)
     firsts = [members.settings[alike[0]] for alike in numbers.values()]
     keys = [{name: values[name] for name in _SETTING} | {"perturbation_size": 0.0} for values in firsts]
     names = labels(keys)

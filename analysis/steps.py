@@ -13,6 +13,7 @@ from typing import NamedTuple, TypeVar
 
 import pandas as pd
 
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.contrast import Contrast, judged
 from stickslip.analysis.findings.finding import Change, KeyChange, Lack, Level, Reason, Turn
 from stickslip.analysis.findings.place import EVERYWHERE, Place
@@ -112,10 +113,11 @@ AnyStep = TypeVar("AnyStep", bound=Step)
 
 def judged_together(steps: Sequence[AnyStep], alpha: float) -> list[AnyStep]:
     """Steps in their order, those of one kind with one reference judged together; all of two datasets."""
-    families: dict[tuple[Kind, str], list[int]] = {}
-    for k, step in enumerate(steps):
-        reference = "" if step.kind is Kind.DATASET else step.reference
-        families.setdefault((step.kind, reference), []).append(k)
+
+    def family(k: int) -> tuple[Kind, str]:
+        return steps[k].kind, "" if steps[k].kind is Kind.DATASET else steps[k].reference
+
+    families = by_key(range(len(steps)), family)
     contrasts = [step.contrast for step in steps]
     for places in families.values():
         for k, contrast in zip(places, judged([contrasts[k] for k in places], alpha), strict=True):

@@ -123,7 +123,7 @@ P = ParamSpec("P")
 def hues(study: Study | None, labels: Sequence[str]) -> list[str]:
     """The hues of some settings in a figure: a setting has one in all figures of a page, if there are enough."""
     groups = [] if study is None else sorted(study.groups, key=lambda group: -int(group.key["n"]))
-    order = [group.label for group in groups][: len(HUES)]
+    order: Sequence[str] = [group.label for group in groups][: len(HUES)]
     if not {*labels} <= {*order}:
         order = [*dict.fromkeys(labels)]
     return [HUES[order.index(label) % len(HUES)] for label in labels]

@@ -19,7 +19,7 @@ from stickslip.analysis.ensemble import Numbers, Recorded
 from stickslip.analysis.members import READ, Members
 from stickslip.analysis.page import FINDINGS, PAGE
 from stickslip.analysis.page.comparison import Ensemble, compare
-from stickslip.analysis.page.parts import NO_VALUE, Answered, Row, Said
+from stickslip.analysis.page.parts import Answered, Row, Said
 from stickslip.analysis.questions import renamed
 from stickslip.analysis.rows import frame_of
 from stickslip.analysis.session import defaults
@@ -278,7 +278,7 @@ def findings(where: Where) -> pd.DataFrame:
         rows = [
             (Said(finding["question"], finding["leads"], finding["sentence"]), row)
             for finding in json.loads(content)["findings"]
-            for row in [Row(**values) for values in finding["rows"]] or [NO_VALUE]
+            for row in [Row(**values) for values in finding["rows"]] or [Row()]
         ]
         tables = frame_of(Said, (head for head, _ in rows)), frame_of(Row, (row for _, row in rows))
         unsaid = ["form"] + ["measured_in"] * (not opened.scene.unit_names)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from stickslip.pipeline.design.labels import Label, Part
+from stickslip.pipeline.design.labels import Label, Part, apart
 from stickslip.pipeline.design.units import Units
 
 
@@ -70,3 +71,8 @@ class Place:
 
 
 EVERYWHERE = Place()
+
+
+def told_apart(labels: Sequence[Label], n_always: int = 0) -> dict[str, Place]:
+    """What tells each label from the others, with its first parts in any case."""
+    return dict(zip(labels, map(Place.of, apart(labels, n_always)), strict=True))

@@ -286,11 +286,10 @@ def _of(difference: Difference, quantity: Quantity | None) -> str:
 
 def ratio(difference: Difference) -> str | None:
     """A relative difference of more than 100% as a ratio, "11.4 (5.8 to 22.3)"; None of any other."""
-    value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
+    value = difference.estimate.value
     if difference.scale is not Scale.RELATIVE or value is None or value < 1.0:
         return None
-    ends = [None if end is None else 1.0 + end for end in (low, high)]
-    return with_interval(Estimate(1.0 + value, ends[0], ends[1]))
+    return with_interval(difference.estimate.under(lambda relative: 1.0 + relative))
 
 
 def difference_in_words(difference: Difference, form: Form = Form.NUMBER) -> tuple[str, str]:

@@ -26,7 +26,6 @@ ENDS = (COLLAPSED, DIVERGED)
 MOVING = (SUSTAINED, LULL)
 SETTLED = (COLLAPSED, QUIET)  # no block sticks at the end, either for good or as far as is known
 WATCHED = (*ENDS, QUIET, *MOVING, UNMOVED)  # the fates of runs that did not fail
-_CERTAIN = {"collapsed": COLLAPSED, "diverged": DIVERGED}  # by outcome
 LAST_SHARE = 0.25  # last part of a run: lull or quiet if no block sticks in it, held if all stick throughout
 
 
@@ -107,8 +106,8 @@ def fates(
         Number of blocks; NaN if it is not known.
     """
     names = np.full(len(outcomes), FAILED, dtype=object)  # a mask is given one word, which is then held once
-    for outcome, how in _CERTAIN.items():
-        names[outcomes == outcome] = how
+    for certain in ENDS:  # outcomes have the same names
+        names[outcomes == certain] = certain
     is_finished, slips, is_lull = outcomes == "finished", is_all_slip(t_last, n_last, t_end), is_unstable(growth_rate)
     names[is_finished & ~slips] = SUSTAINED
     names[is_finished & (n_last == n) & (t_last <= 0)] = UNMOVED

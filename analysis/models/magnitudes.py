@@ -238,7 +238,8 @@ def _range(total: np.ndarray, start: float) -> int | None:
         if counts.sum() < FEWEST:
             break
         with suppress(Undefined):
-            gap = _gap(_fitted(counts, start + WIDTH * first, 0), counts)
+            law = _fitted(counts, start + WIDTH * first, 0).shares()
+            gap = np.abs(np.cumsum(counts) / counts.sum() - np.cumsum(law)).max()
             if gap < max(SMALL, BY_CHANCE / np.sqrt(counts.sum())):
                 return first
     return None
@@ -248,10 +249,6 @@ def _fitted(counts: np.ndarray, least: float, law: int) -> Fit:
     sizes = np.arange(1.0, len(counts) + 1)
     mean = float(np.average(10.0 ** (least + WIDTH * (sizes - 0.5)), weights=counts))
     return maximise(laws(least, mean)[law], sizes, counts)
-
-
-def _gap(fit: Fit, counts: np.ndarray) -> float:
-    return float(np.abs(np.cumsum(counts) / counts.sum() - np.cumsum(fit.shares())).max())
 
 
 def _judged(counts: np.ndarray, least: float, begins: float | None, confidence: float) -> Magnitudes:

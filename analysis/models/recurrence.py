@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from stickslip.analysis.models.episodes import Catalogue
 from stickslip.analysis.stats import student
@@ -112,14 +113,9 @@ def _products(size: np.ndarray, time: np.ndarray) -> tuple[float, float, float]:
     """Sums of squares and products of ranks about their mean; 0 of fewer than three."""
     if len(size) < 3:
         return 0.0, 0.0, 0.0
-    x, y = ((_ranks(values) - (len(values) + 1) / 2) / len(values) for values in (size, time))
+    ranks = (pd.Series(values).rank().to_numpy() for values in (size, time))  # equal values share the mean of theirs
+    x, y = ((rank - (len(rank) + 1) / 2) / len(rank) for rank in ranks)
     return float(x @ x), float(y @ y), float(x @ y)
-
-
-def _ranks(values: np.ndarray) -> np.ndarray:
-    """Ranks from 1 on; equal values share the mean of theirs."""
-    _, places, counts = np.unique(values, return_inverse=True, return_counts=True)
-    return np.asarray((np.cumsum(counts) - (counts - 1) / 2)[places])
 
 
 def _correlation(sums: np.ndarray) -> np.ndarray:

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from stickslip.analysis.answer import Answer, Question
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.contrast import contrast
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.finding import Alike, Decided, Form, Quantity, Truth
-from stickslip.analysis.findings.place import Place
+from stickslip.analysis.findings.place import Place, told_apart
 from stickslip.analysis.findings.words import capital, listed, plural
 from stickslip.analysis.groups import Group
 from stickslip.analysis.measures import ENDS, KEYS, Measure, measures, of_windows
@@ -23,7 +24,6 @@ from stickslip.analysis.page.layout import Table as PageTable
 from stickslip.analysis.rows import frame_of
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.steps import Kind, Setting, Step, few, judged_together, table_of
-from stickslip.pipeline.design.labels import Label, apart
 from stickslip.pipeline.design.values import text
 
 #: Keys that two settings must share: with another n or coupling, a statistic is not the same quantity.
@@ -85,12 +85,11 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     groups = [study.groups for study in studies]
     matches = matched(first.name, groups[0], second.name, groups[1])
     measured, unit = _both(*studies), noun(studies[0].unit)
-    labels = [match.second.name for match in matches]
-    names = dict(zip(labels, apart(labels), strict=True))
+    where = told_apart([match.second.label for match in matches])
     unjudged = [
         step
         for match in matches
-        for step in _steps(match, measured, second.name, names[match.second.name], settings.confidence)
+        for step in _steps(match, measured, second.name, where[match.second.label], settings.confidence)
     ]
     steps = judged_together(unjudged, 1 - settings.confidence)
     lost = [row for k, ensemble in enumerate((first, second)) for row in _lost(ensemble.name, groups[k], k, matches)]
@@ -118,7 +117,7 @@ def _both(first: Study, second: Study) -> list[tuple[Measure, Measure]]:
 
 
 def _steps(
-    match: Match, measured: Sequence[tuple[Measure, Measure]], name: str, where: Label, confidence: float
+    match: Match, measured: Sequence[tuple[Measure, Measure]], name: str, where: Place, confidence: float
 ) -> Iterator[Step]:
     """Each statistic of a setting beside that of its counterpart."""
     setting = Setting(f"{name} ({where})" if where else name)
@@ -129,7 +128,7 @@ def _steps(
             mine.statistic, reference.sums, changed.sums, match.is_paired, confidence, withheld=withheld
         )
         labels = match.second.label, match.first.label
-        yield Step(Kind.DATASET, *labels, difference, where=Place.of(where), name=setting)
+        yield Step(Kind.DATASET, *labels, difference, where=where, name=setting)
 
 
 def _answer(first: str, second: str, steps: Sequence[Step], groups: Sequence[Group], unit: str) -> Answer:
@@ -137,9 +136,8 @@ def _answer(first: str, second: str, steps: Sequence[Step], groups: Sequence[Gro
     judged = [step for step in steps if step.contrast.is_known and not step.contrast.reason]
     if not judged:
         return Answer(findings=[Decided(Truth.UNDECIDED, few(f"whether {first} and {second} agree", groups))])
-    by_setting = {step.name: [beside_it for beside_it in judged if beside_it.name == step.name] for step in judged}
     grouped = judged
-    if len({*map(outcome, by_setting.values())}) == 1:  # no setting to tell apart
+    if len({*map(outcome, by_key(judged, lambda step: step.name).values())}) == 1:  # no setting to tell apart
         grouped = [replace(step, name=Setting(second)) for step in judged]
     lead, *further = outcomes(first, grouped, unit, "setting")
     is_open = any(finding.undecided for finding in (lead, *further))
@@ -165,23 +163,25 @@ def _lost(dataset: str, groups: Sequence[Group], k: int, matches: Sequence[Match
 
 def _of_matches(matches: Sequence[Match], unit: str) -> Iterator[str]:
     """What is compared with what, settings that are compared alike together."""
-    by_sentence: dict[str, list[str]] = {}
-    for reference, second, is_paired in matches:
-        how = f"Each {unit} is compared with itself" if is_paired else "The systems are drawn independently"
+
+    def sentence(match: Match) -> str:
+        how = f"Each {unit} is compared with itself" if match.is_paired else "The systems are drawn independently"
+        first, second = match.first.key, match.second.key
         differ = [
-            f"{name} = {text(reference.key[name])} against {text(second.key[name])}"
-            for name in _differ(reference, second)
+            f"{name} = {text(first[name])} against {text(second[name])}"
+            for name in _differ(match.first, match.second)
         ]
-        remark = f"; another setting: {', '.join(differ)}" if differ else ""
-        by_sentence.setdefault(how + remark, []).append(reference.label)
-    for sentence, labels in by_sentence.items():
-        yield f"{sentence}{f' ({listed(labels)})' if len(by_sentence) > 1 else ''}."
+        return how + (f"; another setting: {', '.join(differ)}" if differ else "")
+
+    by_sentence = by_key(matches, sentence)
+    for words, alike in by_sentence.items():
+        yield f"{words}{f' ({listed([match.first.label for match in alike])})' if len(by_sentence) > 1 else ''}."
 
 
 def _of_lost(lost: Sequence[Alone]) -> Iterator[str]:
     """Members without a partner, the first of each dataset by name."""
-    for dataset in dict.fromkeys(row.dataset for row in lost):
-        names = [row.member_id for row in lost if row.dataset == dataset]
+    for dataset, rows in by_key(lost, lambda row: row.dataset).items():
+        names = [row.member_id for row in rows]
         listing = ", ".join(names[:MOST_NAMED]) + (", ..." if len(names) > MOST_NAMED else "")
         has = "has" if len(names) == 1 else "have"
         yield f"{plural(len(names), 'member')} of {dataset} {has} no partner: {listing}."

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cache
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
@@ -16,6 +16,14 @@ from stickslip.analysis.findings.words import based_on, difference_in_words, plu
 
 MOST_ROWS = 36  # of a table on a page
 MOST_FIRST = 8  # of the table on the first screen
+
+#: How all templates of pages are read.
+RULES: dict[str, Any] = {
+    "autoescape": True,
+    "undefined": StrictUndefined,
+    "trim_blocks": True,
+    "lstrip_blocks": True,
+}
 
 
 class Panel(NamedTuple):
@@ -79,14 +87,7 @@ class Page(NamedTuple):
 
 @cache
 def _template() -> Template:
-    filled = Environment(
-        loader=PackageLoader(__package__, "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return filled.get_template("page.html")
+    return Environment(loader=PackageLoader(__package__, "."), **RULES).get_template("page.html")
 
 
 def prepare() -> None:

@@ -159,28 +159,27 @@ class Said(NamedTuple):
 
 
 class Row(NamedTuple):
-    """A value of a finding in `report/findings.json`: what is missing is None, or empty where it is a text."""
+    """A value of a finding in `report/findings.json`: what is missing is None, or empty where it is a text.
 
-    quantity: str
-    setting: str
-    estimate: float | None
-    low: float | None
-    high: float | None
-    compared_with: str
-    difference: float | None
-    difference_low: float | None
-    difference_high: float | None
-    scale: str
-    margin: float | None
-    verdict: str
-    n: int | None
-    unit: str
-    form: str
+    By default all is, as of a finding that states no value.
+    """
+
+    quantity: str = ""
+    setting: str = ""
+    estimate: float | None = None
+    low: float | None = None
+    high: float | None = None
+    compared_with: str = ""
+    difference: float | None = None
+    difference_low: float | None = None
+    difference_high: float | None = None
+    scale: str = ""
+    margin: float | None = None
+    verdict: str = ""
+    n: int | None = None
+    unit: str = ""
+    form: str = ""
     measured_in: str = ""
-
-
-#: The row of a finding that states no value, as that something is lacking.
-NO_VALUE = Row("", "", None, None, None, "", None, None, None, "", None, "", None, "", "")
 
 
 def row(level: Level) -> Row:

@@ -32,7 +32,7 @@ from functools import cached_property
 import numpy as np
 
 from stickslip.analysis import arguments
-from stickslip.analysis.series.windows import Stack, Windows, windows
+from stickslip.analysis.series.windows import Stack, Windows, steps_to, windows
 
 SAMPLED = ("drop", "length", "descent", "decreases")
 DEFINITIONS = ("events", *SAMPLED)
@@ -112,18 +112,12 @@ class Window:
     def places(self, dt: float) -> np.ndarray:
         """Number of the first sample at or after each change; it may lie beyond the last sample."""
         if dt not in self._placed:
-            self._placed[dt] = self._places(dt)
+            self._placed[dt] = steps_to(self.t, self.t_start, dt).astype(np.int64)
         return self._placed[dt]
 
     @cached_property
     def _placed(self) -> dict[float, np.ndarray]:
         return {}
-
-    def _places(self, dt: float) -> np.ndarray:
-        places = np.ceil((self.t - self.t_start) / dt)
-        places -= self.t_start + dt * (places - 1) >= self.t  # corrects the rounding of the quotient
-        places += self.t_start + dt * places < self.t
-        return places.astype(np.int64)
 
     def grid_index(self, dt: float) -> np.ndarray:
         """Number of changes up to and at each sample time: an index into `path()`."""
@@ -285,11 +279,6 @@ def sums(steps: np.ndarray, dt: float | None = None) -> dict[Law, np.ndarray]:
 
 def _falls(steps: np.ndarray) -> np.ndarray:
     """Total depth, total number of steps and number of the complete falls in a series of steps, shape (3,)."""
-    falling = steps < 0
-    if falling.all():
-        return np.zeros(3)
-    begin, end = np.argmin(falling), len(steps) - np.argmin(falling[::-1])
-    falling = falling[begin:end]
-    n_steps = np.count_nonzero(falling)
-    n_joined = np.count_nonzero(falling[1:] & falling[:-1])
-    return np.array([-np.minimum(steps[begin:end], 0).sum(), n_steps, n_steps - n_joined], dtype=np.float64)
+    path = np.append(0, np.cumsum(steps))
+    start, stop = falls(path)
+    return np.array([(path[start] - path[stop]).sum(), (stop - start).sum(), len(start)], dtype=np.float64)

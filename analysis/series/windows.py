@@ -101,6 +101,14 @@ def in_parts(stacks: Iterable[Stack], most_runs: int, most_points: int) -> Itera
         yield Stack.joined(waiting)
 
 
+def steps_to(t: np.ndarray, start: float, step: np.ndarray | float) -> np.ndarray:
+    """The least whole numbers k for which start + k step is at or after t, of the shape of t, float64."""
+    k = np.ceil((t - start) / step)
+    k -= start + step * (k - 1) >= t  # corrects the rounding of the quotient
+    k += start + step * k < t
+    return k
+
+
 def ranges(first: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where ranges of places begin if they are laid end to end, with the whole length at the end; and all places."""
     begins = np.concatenate(([0], np.cumsum(lengths)))
@@ -212,9 +220,7 @@ class Windows:
         """`at`, by counting the levels that begin up to each edge."""
         n_edges = edges.shape[1]
         length = (self.span / (n_edges - 1))[self.run]
-        k = np.ceil((self.t - self.t_start) / length)
-        k -= self.t_start + length * (k - 1) >= self.t  # corrects the rounding of the quotient
-        k += self.t_start + length * k < self.t
+        k = steps_to(self.t, self.t_start, length)
         k[self.first[:-1]] = 0
         cell = self.run * n_edges + np.minimum(k, n_edges - 1).astype(np.int64)
         counts = np.bincount(cell, minlength=edges.size).reshape(edges.shape)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.estimates import Statistic, Undefined, jackknife, paired_difference, with_data
+from stickslip.analysis.stats.estimates import Statistic, Undefined, jackknife, with_data
 from stickslip.analysis.stats.shares import Proportion
 
 MOST_ERRORS = 8.0  # of the intervals that tests invert: p-values below 1e-15 are not told apart
@@ -56,7 +56,8 @@ def mean_difference(of: Statistic, first: np.ndarray, second: np.ndarray, paired
         If the statistic has no value on all rows, or with one row left out.
     """
     if paired:
-        return Compared(*jackknife(paired_difference(of), np.hstack([second, first])), len(first) - 1.0)
+        side_by_side = np.hstack([second, first])
+        return Compared(*jackknife(lambda s: of(s[:, :2]) - of(s[:, 2:]), side_by_side), len(first) - 1.0)
     (start, error_a), (end, error_b) = jackknife(of, first), jackknife(of, second)
     return Compared(end - start, *_welch(error_a, error_b, len(first), len(second)))
 

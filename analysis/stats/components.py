@@ -42,19 +42,6 @@ class Against:
     replicate: float
     redraw: float
 
-    @property
-    def is_bounded(self) -> bool:
-        """Whether matrices can be told apart from replicates."""
-        return self.theta.high is not None
-
-    def is_below(self, bound: float) -> bool:
-        """Whether the effect is shown to be below a bound."""
-        return self.theta.high is not None and self.theta.high < bound
-
-    def is_above(self, bound: float) -> bool:
-        """Whether the effect is shown to be above a bound."""
-        return self.theta.low is not None and self.theta.low > bound
-
 
 def against_redraw(values: np.ndarray, changed: np.ndarray, confidence: float) -> Against:
     """Effect of a change of the matrix relative to a redraw of the matrix.

@@ -47,6 +47,12 @@ class Estimate:
         interval = "" if self.low is None or self.high is None else f" ({self.low:.6g} to {self.high:.6g})"
         return f"Estimate({value}{interval}{self.reason and f': {self.reason}'})"
 
+    def under(self, function: Callable[[float], float]) -> Estimate:
+        """The estimate of an increasing function of the number."""
+        ends = (self.value, self.low, self.high)
+        value, low, high = (None if end is None else float(function(end)) for end in ends)
+        return Estimate(value, low, high, self.reason)
+
 
 def with_ends(estimates: Iterable[Estimate]) -> np.ndarray:
     """Values, lower and upper ends of estimates, shape (3, m), with NaN for none."""
@@ -183,16 +189,6 @@ def gamma(sums: np.ndarray) -> np.ndarray:
     if (total <= count).any():
         raise Undefined("every cascade has size 1, so gamma has no finite value")
     return -np.log1p(-count / total)
-
-
-def paired_difference(of: Statistic) -> Statistic:
-    """The statistic that is `of` the first half of the columns minus `of` the second half, paired by matrix."""
-
-    def difference(sums: np.ndarray) -> np.ndarray:
-        half = sums.shape[1] // 2
-        return of(sums[:, :half]) - of(sums[:, half:])
-
-    return difference
 
 
 def jackknife(statistic: Statistic, sums: np.ndarray) -> tuple[float, float]:

@@ -30,10 +30,6 @@ from stickslip.analysis.stats.estimates import Estimate, Undefined, jackknife_er
 MOST_STEPS, EPS = 100, 1e-13  # steps of Newton's method, which takes about ten; its tolerance in nats a cascade
 
 
-def _none(k: np.ndarray) -> np.ndarray:
-    return np.zeros(len(k))
-
-
 @dataclass(frozen=True)
 class Family:
     """A family of laws.
@@ -51,7 +47,7 @@ class Family:
     name: str
     terms: Callable[[np.ndarray], np.ndarray]
     bounded: tuple[int, ...] = ()
-    base: Callable[[np.ndarray], np.ndarray] = _none
+    base: Callable[[np.ndarray], np.ndarray] = lambda k: np.zeros(len(k))
 
 
 EXPONENTIAL = Family("exponential", lambda k: k[:, None])

@@ -389,7 +389,7 @@ def components_study(rng, ensembles):
     ):  # fmt: skip
         every = [components.against_redraw(*matrices(rng, correlation, theta, heavy=heavy), CONFIDENCE)
                  for _ in range(ensembles)]  # fmt: skip
-        bounded = np.array([one.is_bounded for one in every])
+        bounded = np.array([one.theta.high is not None for one in every])
         held = [
             not known or one.theta.low <= theta <= one.theta.high for one, known in zip(every, bounded, strict=True)
         ]

@@ -121,7 +121,7 @@ def is_limit(share):
 
 def planted_pairs(rows, n_exits, gap, confidence):
     pairs = triggering.compare("", rows, np.full(len(rows), n_exits), [0.2], confidence)
-    return triggering.Exits(None, pairs, len(rows), gap)
+    return triggering.Exits(pairs, len(rows), gap)
 
 
 def test_the_share_of_exits_that_trigger_others_holds_the_planted_one(rng):

@@ -285,8 +285,7 @@ def test_the_settings_that_the_fit_misses_are_named_whichever_leads(planted, rng
         goodness = common_motion.Goodness(deviances[group.key["belt_speed"]], 38)
         return dataclasses.replace(motion, motion=dataclasses.replace(motion.fit, goodness=goodness))
 
-    for question in (collective, scene):
-        monkeypatch.setattr(question, "slow_motion", planted_misfit)
+    monkeypatch.setattr("stickslip.analysis.questions.slips.slow_motion.slow_motion", planted_misfit)
     runs = [studies.blocks_run(rng, depth=0.6, period=80.0) for _ in range(8)]
     study = study_of(planted, runs, settings=[{"belt_speed": speed} for speed in deviances])
     keys = {change.keys[0] for change in scene.question(study).findings if isinstance(change, Change)}

@@ -18,7 +18,8 @@ from stickslip.analysis import (
 )
 from stickslip.analysis.series import cascades
 from stickslip.analysis.stats import families, student
-from stickslip.analysis.stats.estimates import Estimate, Undefined, paired_difference, ratio
+from stickslip.analysis.stats.compare import mean_difference
+from stickslip.analysis.stats.estimates import Estimate, Undefined, ratio
 
 
 def test_gamma_is_the_maximum_of_the_likelihood():
@@ -61,16 +62,14 @@ def test_interval_of_a_mean_is_the_t_interval():
 def test_paired_difference_removes_what_both_share():
     rng = np.random.default_rng(3)
     shared = rng.uniform(150, 250, 20)
-    sums = np.column_stack([shared + 1, np.full(20, 100.0), shared, np.full(20, 100.0)])
-    paired = over_matrices(paired_difference(gamma), sums, 0.95)
-    alone = over_matrices(gamma, sums[:, :2], 0.95)
-    assert paired.value is not None
-    assert paired.low is not None
-    assert paired.high is not None
+    first, second = (np.column_stack([shared + more, np.full(20, 100.0)]) for more in (0, 1))
+    paired = mean_difference(gamma, first, second, paired=True)
+    low, high = paired.interval(0.95)
+    alone = over_matrices(gamma, second, 0.95)
     assert alone.low is not None
     assert alone.high is not None
-    assert paired.value < 0  # larger sizes, smaller gamma
-    assert paired.high - paired.low < 0.05 * (alone.high - alone.low)
+    assert paired.difference < 0  # larger sizes, smaller gamma
+    assert high - low < 0.05 * (alone.high - alone.low)
 
 
 def test_correlation_time_says_when_it_cannot_be_known():

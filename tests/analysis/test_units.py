@@ -90,7 +90,7 @@ def test_the_table_of_all_members_makes_the_same_members(planted):
     drawn, _ = planted.ensemble({"coulomb": 0.69, "sigmoid": 0.5}, 6)
     table = pd.DataFrame(drawn).assign(seed=[0, 1] * (len(drawn) // 2))
     whole = members(table)
-    table = whole.together.assign(**{name: whole.of_each(name).astype(int) for name in POINT})
+    table = whole.together.assign(**{name: [whole.settings[k][name] for k in whole.own["setting"]] for name in POINT})
     parts = Members.of((table.iloc[k : k + 5] for k in range(0, len(table), 5)), whole.design)
     assert whole.together.columns.is_unique
     pd.testing.assert_frame_equal(parts.together[list(whole.together)], whole.together, check_dtype=False)

@@ -21,7 +21,7 @@ class Status(Command):
         parser.add_argument("--watch", action="store_true", help="repeat until the run ends")
 
     def __call__(self, arguments: argparse.Namespace) -> int:
-        from stickslip.workflows.status import say, watch
+        from stickslip.workflows.progress import say, watch
 
         try:
             found = (watch if arguments.watch else say)(arguments.directory)

@@ -24,7 +24,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter, NullLocator, PercentFormatter
 
-from stickslip.analysis.answer import Answer, Picture, lack, systems
+from stickslip.analysis.answer import Answer, Picture, lack
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import (
     Basis,
@@ -40,7 +40,7 @@ from stickslip.analysis.findings.finding import (
 )
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.groups import Group
-from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, noun
 from stickslip.analysis.models import pool
 from stickslip.analysis.models.motion import lulls
 from stickslip.analysis.series import nulls
@@ -143,7 +143,7 @@ def question(study: Study) -> Answer | None:
     )  # no survivors first
     alike = sorted((counts for counts in groups if counts.others == lead.others), key=lambda counts: counts.n)
     leads = [lead, *(counts for counts in reversed(alike) if counts is not lead and counts.is_judged)]
-    unit, is_swept = systems(study), len(leads) > 1
+    unit, is_swept = noun(study.unit), len(leads) > 1
     findings: list[Finding] = [_parts(counts, is_swept, unit) for counts in leads]
     slope = Comparison("independent two-state blocks", Difference(lead.estimates["rise_over_two_state"]))
     basis = Basis(len(lead.rows), unit)

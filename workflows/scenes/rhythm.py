@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy import special
 
-from stickslip.analysis.answer import Answer, Picture, lack, systems
+from stickslip.analysis.answer import Answer, Picture
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import (
     Basis,
@@ -32,8 +33,9 @@ from stickslip.analysis.findings.finding import (
 from stickslip.analysis.findings.numbers import signs, span
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.grid import is_negative
+from stickslip.analysis.members import noun
 from stickslip.analysis.models.common_motion import Number
-from stickslip.analysis.questions.slips.slow_motion import Slow, misfits, slow_motion
+from stickslip.analysis.questions.slips.slow_motion import Slow, misfits, slow_motions
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import Compared
 from stickslip.analysis.stats.estimates import Estimate, jackknife_error, with_ends
@@ -103,12 +105,10 @@ def question(study: Study) -> Answer:
     everywhere at once, and adjusted for the number of comparisons. A power is fitted by weighted least squares of
     logarithms where a key spans a factor of two.
     """
-    if not study.data.events:
-        return Answer(findings=[Lack(WHAT, Reason.NOT_RECORDED, "set events = true under [record]")])
-    judged = study.judged()
-    if not judged:
-        return Answer(findings=[lack(study, WHAT)])
-    slow = [motion for group in judged if (motion := study.once(slow_motion, group)) is not None and motion.is_shown]
+    motions = slow_motions(study, WHAT)
+    if isinstance(motions, Lack):
+        return Answer(findings=[motions])
+    slow = [motion for motion in motions if motion.is_shown]
     missed = misfits(slow, study.settings.confidence)  # what is fitted there is no number of the motion
     lines = [
         line for key in KEYS for line in along(key, [motion for motion in slow if motion.group.label not in missed])
@@ -116,7 +116,7 @@ def question(study: Study) -> Answer:
     if not lines:
         return Answer(findings=[Lack(WHAT, Reason.ONE_VALUE if slow else Reason.NOT_SHOWN)])
     confidence = study.settings.confidence
-    changed = changes(lines, systems(study), confidence)
+    changed = changes(lines, noun(study.unit), confidence)
     changed.sort(key=_rank)
     powers = [power for key in KEYS for name in NUMBERS if (power := power_law(name, key, lines, confidence))]
     wide = [power for power in powers if power.last_value >= LEAST_FACTOR * power.first_value]
@@ -156,11 +156,8 @@ def _trend(changed: Sequence[Change], key: str) -> str:
 def along(key: str, slow: Sequence[Slow]) -> list[Along]:
     """Sets of two or more groups that differ in one key only, sorted by it."""
     varied = [name for name in KEYS if len({motion.group.key[name] for motion in slow}) > 1 and name != key]
-    sets: dict[tuple[object, ...], list[Slow]] = {}
-    for motion in slow:
-        if motion.group.key[key]:
-            others = tuple(value for other, value in motion.group.key.items() if other != key)
-            sets.setdefault(others, []).append(motion)
+    with_key = [motion for motion in slow if motion.group.key[key]]
+    sets = by_key(with_key, lambda motion: tuple(value for other, value in motion.group.key.items() if other != key))
     return [
         Along(
             key,

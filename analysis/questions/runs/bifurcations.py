@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import product
 from typing import NamedTuple
@@ -51,7 +51,7 @@ def pictures(study: Study, grid: Grid, boundaries: Sequence[Boundary] = ()) -> d
     """The diagrams of some lines along the first axis, if its values are numbers, with ends of attraction."""
     lines = [
         line
-        for line in _lines(grid)
+        for line in grid.recorded_lines
         if {PERIODIC, TORUS, IRREGULAR} & {kind for setting in line for kind in setting.runs.kinds}
     ]
     places = np.unique(np.linspace(0, len(lines) - 1, min(len(lines), MOST_DIAGRAMS)).round().astype(int))
@@ -61,10 +61,8 @@ def pictures(study: Study, grid: Grid, boundaries: Sequence[Boundary] = ()) -> d
         setting = lines[k][0]
         places_on_line = {str(setting.where) for setting in lines[k]}
         ends = sorted({boundary.value for boundary in boundaries if boundary.setting in places_on_line})
-        sections, where = (
-            _sections(study, lines[k])._replace(ends=ends),
-            grid.beside(setting) + Place.of(setting.method),
-        )
+        sections = _sections(study, lines[k])._replace(ends=ends)
+        where = grid.beside(setting) + Place.of(setting.method)
         left_out = f" Left out: {plural(sections.n_left_out, 'run')}, undecided or without limit."
         caption = (
             f"{'Dashed: where steady sliding or stick-slip begins or ceases to attract.' if ends else SPLIT}"
@@ -76,14 +74,6 @@ def pictures(study: Study, grid: Grid, boundaries: Sequence[Boundary] = ()) -> d
         recipe = partial(bifurcation, units.label_of_key(grid.axes[0].name), sections, str(where), units)
         figures[name] = Picture(recipe, caption)
     return figures
-
-
-def _lines(grid: Grid) -> Iterator[list[Setting]]:
-    """Lines of settings along numbers, of which it is recorded what their runs settle on."""
-    if grid.axes and grid.axes[0].x is not None:
-        for settings in grid.methods.values():
-            recorded = [setting for setting in settings if setting.is_recorded]
-            yield from grid.lines(recorded) if recorded else ()
 
 
 def _sections(study: Study, line: Sequence[Setting]) -> Sections:

@@ -249,15 +249,12 @@ class _Line(NamedTuple):
 
 
 def _lines(study: Study, grid: Grid) -> Iterator[_Line]:
-    """Lines of settings, along numbers, of which it is recorded what their runs settle on."""
-    if not grid.axes or (axis := grid.axes[0]).x is None:
-        return
+    """`Grid.recorded_lines`, each with where it is, and whether its ends were refined."""
     refined = axis_of_numbers(study.data.table.design.axes)
-    is_refined = "stability_changes" in study.data.recorded and refined is not None and refined.keys == axis.keys
-    for method, settings in grid.methods.items():
-        recorded = [setting for setting in settings if setting.is_recorded]
-        for line in grid.lines(recorded) if recorded else ():
-            yield _Line(study, axis.name, grid.beside(line[0]) + Place.of(method), line, is_refined)
+    for line in grid.recorded_lines:
+        axis, where = grid.axes[0], grid.beside(line[0]) + Place.of(line[0].method)
+        is_refined = "stability_changes" in study.data.recorded and refined is not None and refined.keys == axis.keys
+        yield _Line(study, axis.name, where, line, is_refined)
 
 
 def _stretches(values: Sequence[T]) -> Iterator[tuple[T, int, int]]:

@@ -14,19 +14,20 @@ from typing import TypeAlias
 import numpy as np
 
 from stickslip.analysis.answer import Answer
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.catalogues import fineness
 from stickslip.analysis.contrast import contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Finding, KeyChange
-from stickslip.analysis.findings.place import Place
+from stickslip.analysis.findings.place import Place, told_apart
 from stickslip.analysis.groups import Group
 from stickslip.analysis.measures import ENDS, of_windows
-from stickslip.analysis.members import ENGINE_KEYS, STEPS, SYSTEM_KEYS, TOLERANCES, WIDTHS, noun
+from stickslip.analysis.members import ENGINE_KEYS, STEPS, TOLERANCES, WIDTHS, noun
 from stickslip.analysis.outcomes import DIFFERENT, forest, in_words, outcomes
 from stickslip.analysis.stats.estimates import UnitSums
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.steps import Kind, Setting, Step, few, judged_together, table_of
-from stickslip.pipeline.design.labels import apart, engine_name
+from stickslip.pipeline.design.labels import engine_name
 from stickslip.pipeline.design.values import text
 
 #: What is set beside a reference, of each kind.
@@ -72,11 +73,9 @@ def answer(study: Study) -> Answer | None:
         scope = "the number of sticking blocks"
     lead, levels, in_figure, title = list[Finding](), list[Finding](), list[Step](), ""
     for kind in _NOUNS:
-        by_other: dict[str, list[Step]] = {}
-        for pair, step in judged:
-            if pair.kind is kind:
-                by_other.setdefault(_other(pair, study.groups), []).append(step)
-        for reference, steps_beside in by_other.items():
+        of_kind = [(pair, step) for pair, step in judged if pair.kind is kind]
+        for reference, beside in by_key(of_kind, lambda entry: _other(entry[0], study.groups)).items():
+            steps_beside = [step for _, step in beside]
             steps_beside.sort(key=lambda step: (step.name.name, step.name.symbol, step.name.value or 0.0))
             lead += outcomes(reference, steps_beside, unit, _NOUNS[kind], scope)
             steps_beside.sort(key=lambda step: not step.contrast.is_shown)
@@ -94,11 +93,10 @@ def answer(study: Study) -> Answer | None:
 def compared(study: Study) -> tuple[list[_Pair], list[Step]]:
     """Every statistic of each pair, judged together with what has the same reference."""
     thresholds = _thresholds(study)
-    labels = [group.name for group in study.groups]
-    names = dict(zip(labels, apart(labels), strict=True))
+    where = told_apart([group.label for group in study.groups])
     pairs, unjudged = list[_Pair](), list[Step]()
     for pair in _pairs(study, thresholds):
-        of_pair = [*_steps(study, pair, Place.of(names[pair.group.name]), thresholds)]
+        of_pair = [*_steps(study, pair, where[pair.group.label], thresholds)]
         pairs += [pair] * len(of_pair)
         unjudged += of_pair
     return pairs, judged_together(unjudged, 1 - study.settings.confidence)
@@ -187,17 +185,13 @@ def _thresholds(study: Study) -> _Thresholds:
 
 def _pairs(study: Study, thresholds: _Thresholds) -> Iterator[_Pair]:
     """The comparisons, by kind; a looser tolerance is compared with the tightest of its own engine only."""
-    systems: dict[tuple[object, ...], list[Group]] = {}
-    for group in study.groups:
-        systems.setdefault(tuple(group.key[name] for name in SYSTEM_KEYS), []).append(group)
-    for groups in systems.values():
-        families: dict[tuple[object, ...], list[Group]] = {}
-        for group in sorted(groups, key=fineness):
-            engine = tuple(group.key[name] for name in ENGINE_KEYS if name not in TOLERANCES)
-            families.setdefault(engine, []).append(group)
-        tightest = [family[0] for family in families.values()]
+    engine_keys = [name for name in ENGINE_KEYS if name not in TOLERANCES]
+    for groups in by_key(study.groups, lambda group: group.system).values():
+        in_order = sorted(groups, key=fineness)
+        families = [*by_key(in_order, lambda group: tuple(group.key[name] for name in engine_keys)).values()]
+        tightest = [family[0] for family in families]
         yield from (_Pair(Kind.LAW, tightest[0], group) for group in tightest[1:])
-        for tight, *looser in families.values():
+        for tight, *looser in families:
             yield from (_Pair(Kind.TOLERANCE, tight, group) for group in looser)
             exact = tightest[0] if tightest[0].is_exact else tight
             values = sorted(threshold for label, threshold in thresholds if label == tight.label)

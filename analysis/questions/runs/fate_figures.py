@@ -15,32 +15,14 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 
 from stickslip.analysis.answer import Picture
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Form
 from stickslip.analysis.findings.numbers import signs, with_interval
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import listed
-from stickslip.analysis.models.attractors import (
-    ESCAPING,
-    IRREGULAR,
-    PERIODIC,
-    REST,
-    SLIDING,
-    TORUS,
-    UNDECIDED,
-    Plane,
-    plane,
-)
-from stickslip.analysis.models.fates import LULL, QUIET, SUSTAINED, UNMOVED
-from stickslip.analysis.questions.runs.settled import (
-    OUTCOMES,
-    Grid,
-    Portion,
-    Runs,
-    Setting,
-    portions,
-    told_apart,
-)
+from stickslip.analysis.models import attractors, fates
+from stickslip.analysis.questions.runs.settled import OUTCOMES, Grid, Portion, Runs, Setting, portions, told_apart
 from stickslip.analysis.series.runs import by_number
 from stickslip.analysis.stats.survival import Curve
 from stickslip.analysis.style import PANEL, hues, panel
@@ -66,20 +48,20 @@ class Look(NamedTuple):
 
 
 LOOKS = {
-    REST: Look("#9ECAE1", "D", "...", "rest"),
-    SLIDING: Look("#0072B2", "s", "", "steady sliding"),
-    PERIODIC: Look("#E69F00", "o", "", "cycle"),
-    TORUS: Look("#009E73", "h", "++", "torus"),
-    IRREGULAR: Look("#6A3D9A", "X", "xxx", "irregular"),
-    ESCAPING: Look("black", "*", "", "growth without limit"),
-    QUIET: Look("#56B4E9", "D", "...", "sliding, may stick again"),
-    SUSTAINED: Look("#E69F00", "o", "", "sticking and slipping"),
-    LULL: Look("#CC79A7", "v", "xxx", "sliding, will stick again"),
-    UNMOVED: Look("#D9D9D9", "X", "///", "stuck"),
-    UNDECIDED: Look("#D9D9D9", ".", "///", "undecided"),
+    attractors.REST: Look("#9ECAE1", "D", "...", "rest"),
+    attractors.SLIDING: Look("#0072B2", "s", "", "steady sliding"),
+    attractors.PERIODIC: Look("#E69F00", "o", "", "cycle"),
+    attractors.TORUS: Look("#009E73", "h", "++", "torus"),
+    attractors.IRREGULAR: Look("#6A3D9A", "X", "xxx", "irregular"),
+    attractors.ESCAPING: Look("black", "*", "", "growth without limit"),
+    fates.QUIET: Look("#56B4E9", "D", "...", "sliding, may stick again"),
+    fates.SUSTAINED: Look("#E69F00", "o", "", "sticking and slipping"),
+    fates.LULL: Look("#CC79A7", "v", "xxx", "sliding, will stick again"),
+    fates.UNMOVED: Look("#D9D9D9", "X", "///", "stuck"),
+    attractors.UNDECIDED: Look("#D9D9D9", ".", "///", "undecided"),
 }
 #: Of the cycles of one system, and of all that come after these.
-CYCLES = (LOOKS[PERIODIC], Look("#7F2704", "^", ""), Look("#F0E442", "v", ""), Look("#D55E00", "P", ""))
+CYCLES = (LOOKS[attractors.PERIODIC], Look("#7F2704", "^", ""), Look("#F0E442", "v", ""), Look("#D55E00", "P", ""))
 OTHERS = Look("#FDD0A2", "p", "\\\\\\")
 
 
@@ -117,12 +99,7 @@ def _names(grid: Grid, settings: Sequence[Setting]) -> tuple[str, list[str]]:
 
 
 @panel()
-def shares(
-    ax: Axes,
-    key: str,
-    values: Sequence[str],
-    counts: Mapping[str, Sequence[float]],
-) -> None:
+def shares(ax: Axes, key: str, values: Sequence[str], counts: Mapping[str, Sequence[float]]) -> None:
     """Shares of runs by outcome, a bar for each value of a key, from above; `counts` are the runs at each value."""
     total, edge = np.maximum(np.sum([*counts.values()], axis=0), 1), np.zeros(len(values))
     for outcome, numbers in counts.items():
@@ -240,7 +217,7 @@ def _n_apart(runs: Runs) -> int:
     return len(runs.rows) - max(Counter(zip(runs.said, runs.cycles, strict=True)).values())
 
 
-def _starts(study: Study, runs: Runs) -> Plane | None:
+def _starts(study: Study, runs: Runs) -> attractors.Plane | None:
     """What varies of the starts of some runs; None if that is nothing, or more than two numbers, or not stored."""
     lists, members = study.data.lists, study.data.table.own
     names = members["member_id"].to_numpy(object)[runs.rows]
@@ -248,14 +225,14 @@ def _starts(study: Study, runs: Runs) -> Plane | None:
         z, w = (np.array([lists[key][name] for name in names]) for key in ("start_z", "start_w"))
     else:
         z, w = (members[key].to_numpy(np.float64, na_value=np.nan)[runs.rows, None] for key in ("z_start", "w_start"))
-    return None if np.isnan(z).any() or np.isnan(w).any() else plane(z, w, study.settings.names)
+    return None if np.isnan(z).any() or np.isnan(w).any() else attractors.plane(z, w, study.settings.names)
 
 
 def _entry(row: Portion) -> tuple[Look, str]:
     """How an outcome is drawn, and its entry in a legend, with its share and the interval."""
     look = LOOKS[row.outcome]
     words = look.words
-    if row.outcome == PERIODIC and row.cycle is None:
+    if row.outcome == attractors.PERIODIC and row.cycle is None:
         look, words = OTHERS, "other cycles"
     elif row.cycle is not None:
         look, words = CYCLES[row.cycle - 1], f"cycle, period {row.period:.4g}"
@@ -263,7 +240,7 @@ def _entry(row: Portion) -> tuple[Look, str]:
 
 
 @panel(3.5)
-def scatter(ax: Axes, starts: Plane, numbers: np.ndarray, entries: Sequence[tuple[Look, str]]) -> None:
+def scatter(ax: Axes, starts: attractors.Plane, numbers: np.ndarray, entries: Sequence[tuple[Look, str]]) -> None:
     """Starts in their plane or along a line, a mark each, by what they settle on, an index of `entries`."""
     points = np.column_stack([starts.points, np.zeros(len(starts.points))])[:, :2]
     size = float(np.clip(170.0 / np.sqrt(len(points)), 1.5, 6.0))  # marks fill the plane
@@ -293,24 +270,27 @@ def _survival(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> Pictur
     key, values = _names(grid, chosen)
     unit = study.settings.units.of_key(key)
     tail = f" {unit}" if unit else ""
-    alike: dict[tuple[bytes, bytes], list[int]] = {}
-    for k, setting in enumerate(chosen):
-        t, share, _, _ = curves[setting.where]
-        alike.setdefault((t.tobytes(), share.tobytes()), []).append(k)
+
+    def course(k: int) -> tuple[bytes, bytes]:
+        t, share, _, _ = curves[chosen[k].where]
+        return t.tobytes(), share.tobytes()
+
+    alike = [*by_key(range(len(chosen)), course).values()]
     named_curves = {
         f"{key} = " * bool(key) + listed([values[k] for k in same]) + tail: curves[chosen[same[0]].where]
-        for same in alike.values()
+        for same in alike
     }
     t_end = max(setting.t_end for setting in settings)
     level = f"; bands: {100 * study.settings.confidence:g}% intervals, of curves that end between 0 and 100%"
     level *= any(map(_has_band, named_curves.values()))
     kinds = {kind for setting in chosen for kind in setting.runs.kinds}
-    slides = f"at last events{', proved to be last or not,' * (QUIET in kinds)}"
-    ends = [slides] * bool(kinds & {SLIDING, QUIET}) + ["where motion grows without limit"] * (ESCAPING in kinds)
+    slides = f"at last events{', proved to be last or not,' * (fates.QUIET in kinds)}"
+    ends = [slides] * bool(kinds & {attractors.SLIDING, fates.QUIET})
+    ends += ["where motion grows without limit"] * (attractors.ESCAPING in kinds)
     see = f"Curves fall {listed(ends).removesuffix(',')}. " if ends else ""
     count = f" {len(chosen)} of {len(settings)} settings are drawn." * (len(chosen) < len(settings))
     caption = f"{see}Share of runs that still stick{level}.{count}"
-    colours = hues(study, [chosen[same[0]].groups[0].label for same in alike.values()])
+    colours = hues(study, [chosen[same[0]].groups[0].label for same in alike])
     return Picture(partial(survival_curves, named_curves, colours, t_end, study.settings.units), caption)
 
 

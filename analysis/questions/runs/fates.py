@@ -7,7 +7,7 @@ upper ends of intervals take them as going on. All others are censored at t_end.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -17,6 +17,7 @@ import pandas as pd
 
 from stickslip.analysis import burn_in
 from stickslip.analysis.answer import Answer, Picture, Question, places
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.catalogues import fineness
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code, drift
@@ -38,7 +39,7 @@ from stickslip.analysis.findings.finding import (
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import based_on, listed
 from stickslip.analysis.groups import Group
-from stickslip.analysis.members import SYSTEM_KEYS, noun
+from stickslip.analysis.members import noun
 from stickslip.analysis.models.attractors import ESCAPING, PERIODIC, SLIDING, UNDECIDED
 from stickslip.analysis.models.fates import ENDS, FAILED, LULL, QUIET, is_unstable, survival
 from stickslip.analysis.questions.runs import bifurcations, coexistence, fate_figures, portraits
@@ -135,13 +136,12 @@ def answer(study: Study) -> Answer | None:
     is_short = {row.group for row in tested if row.is_short} - recorded
     short = [group for group in groups if group.label in is_short]
     by_t_burn = [row for group in short[:1] for row in burn_in.estimates(study, group)]
-    figures = _in_order(
-        bool(each),
-        any(len(setting.kinds) > 1 for setting in grid.settings),
-        fate_figures.pictures(study, grid, {row.setting.where: row.curve for row in ends}),
-        bifurcations.pictures(study, grid, boundaries),
-        portraits.pictures(study, grid),
-    )
+    of_fates = fate_figures.pictures(study, grid, {row.setting.where: row.curve for row in ends})
+    diagrams, typical = bifurcations.pictures(study, grid, boundaries), portraits.pictures(study, grid)
+    figures = {**of_fates, **diagrams, **typical}
+    if each:  # of what attracts along a key the diagram first, then shares, if any setting has several
+        is_mixed = any(len(setting.kinds) > 1 for setting in grid.settings)
+        figures = {**diagrams, **of_fates, **typical} if is_mixed else {**diagrams, **typical, **of_fates}
     figures |= _along_t_burn(study, by_t_burn)
     return Answer(
         findings=[*leading, *secondary] or [Lack("what became of the runs", Reason.ALL_FAILED)],
@@ -159,19 +159,6 @@ def answer(study: Study) -> Answer | None:
         },
         figures=figures,
     )
-
-
-def _in_order(
-    is_along: bool,
-    is_mixed: bool,
-    fates: Mapping[str, Picture],
-    diagrams: Mapping[str, Picture],
-    typical: Mapping[str, Picture],
-) -> dict[str, Picture]:
-    """The figures: of what attracts along a key the diagram first, then shares, if any setting has several."""
-    if not is_along:
-        return {**fates, **diagrams, **typical}
-    return {**diagrams, **fates, **typical} if is_mixed else {**diagrams, **typical, **fates}
 
 
 # ------------------------------------------------------------------------------------------------- findings
@@ -280,10 +267,9 @@ def _shares(study: Study, settings: Sequence[Setting], where: Place, most: int |
 
 def _beside(row: Portion, published: float | None) -> Comparison | None:
     """A share beside the one that the scene names as published."""
-    share = row.share
-    if published is None or share.value is None or share.low is None or share.high is None:
+    if published is None or row.share.low is None or row.share.high is None:
         return None
-    difference = Estimate(share.value - published, share.low - published, share.high - published)
+    difference = row.share.under(lambda share: share - published)
     return Comparison(f"the published {100 * published:g}%", Difference(difference, Scale.ABSOLUTE))
 
 
@@ -297,11 +283,8 @@ def _delays(study: Study) -> Iterator[Level]:
 
     Whether a certificate came in time makes no difference to an event, and systems are compared with themselves.
     """
-    of_system: dict[tuple[object, ...], list[Group]] = {}
     where = places(study)
-    for group in sorted(study.groups, key=fineness):
-        of_system.setdefault(tuple(group.key[name] for name in SYSTEM_KEYS), []).append(group)
-    for reference, *methods in of_system.values():
+    for reference, *methods in by_key(sorted(study.groups, key=fineness), lambda group: group.system).values():
         reference_times = _last_events(reference)
         for method in methods:
             delays = (_last_events(method) - reference_times).dropna().to_numpy()
@@ -357,18 +340,14 @@ def _means(study: Study, settings: Sequence[Setting]) -> list[Level]:
     """Mean n_stick of the runs still going, which include those that slide but will stick again."""
     groups = [group for setting in settings for group in setting.groups if study.unit != "start"]
     groups.sort(key=lambda group: -int(group.key["n"]))
-    means, where = [(group, group.mean(study.settings.confidence)) for group in groups], places(study)
-    return [
-        Level(MEAN, mean, where[group.label] + _lulls(group), None, Basis(len(group.units), noun(study.unit)))
-        for group, mean in means
-        if mean.value is not None
-    ]
-
-
-def _lulls(group: Group) -> Place:
-    """How many of the runs of a group still going slide at their end but will stick again."""
-    n_lull = int(np.sum(group.fates == LULL))
-    return Place.words(f"{n_lull} of {group.n_moving} runs slide but will stick again" * bool(n_lull))
+    where, levels = places(study), list[Level]()
+    for group in groups:
+        mean, n_lull = group.mean(study.settings.confidence), int(np.sum(group.fates == LULL))
+        if mean.value is not None:
+            in_lull = Place.words(f"{n_lull} of {group.n_moving} runs slide but will stick again" * bool(n_lull))
+            basis = Basis(len(group.units), noun(study.unit))
+            levels.append(Level(MEAN, mean, where[group.label] + in_lull, None, basis))
+    return levels
 
 
 def _alerts(study: Study, grid: Grid, ends: Sequence[Ends], short: Sequence[Group]) -> list[Alert]:

@@ -51,16 +51,19 @@ def answer(study: Study) -> Answer | None:
         names, unit = study.settings.names, study.settings.units.time
         events = EventSeries(*data.events[name], t_start=0.0, t_end=t_end, names=names, unit=unit)
         findings = [*_slips(events, where), *findings]
-        figures = _pictures(name, events, grid_width(n) if run["coupling"] == "grid" else None)
+        width = grid_width(n) if run["coupling"] == "grid" else None
+        rows = "; in a grid, the blocks of a row lie side by side" if width else ""
+        caption = f"Which block slips when, and which way, in run {name}: each row is a block{rows}."
+        picture = Picture(partial(space_time, events, width), caption)
     else:
         caption = f"Number of sticking blocks n_stick(t) in run {name}. Recorded events would show which block slips."
-        figures = {NAME: Picture(partial(steps, t, n_stick, t_end, study.settings.units), caption)}
+        picture = Picture(partial(steps, t, n_stick, t_end, study.settings.units), caption)
     chosen = "finished" if len(finished) else "was begun"
     method = (
         f"Run {name} is the first of {len(table)} that {chosen}, and stands for no other. "
         "The command stickslip plot DIR MEMBER --span T0 T1 --out picture.svg draws any run, or a part of one."
     )
-    return Answer(findings=findings, figures=figures, method=method)
+    return Answer(findings=findings, figures={NAME: picture}, method=method)
 
 
 def _sticking(t: np.ndarray, share: np.ndarray, t_end: float, where: Place) -> Finding:
@@ -77,13 +80,6 @@ def _slips(events: EventSeries, where: Place) -> list[Finding]:
         Level(ONSETS, Estimate(int(events.is_exit.sum())), where),
         Share("slip", "blocks", "slip", Estimate(float(np.mean(slips)))),
     ]
-
-
-def _pictures(name: str, events: EventSeries, width: int | None) -> dict[str, Picture]:
-    """Which block slips when."""
-    rows = "; in a grid, the blocks of a row lie side by side" if width else ""
-    caption = f"Which block slips when, and which way, in run {name}: each row is a block{rows}."
-    return {NAME: Picture(partial(space_time, events, width), caption)}
 
 
 @panel()

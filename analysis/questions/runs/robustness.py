@@ -15,7 +15,7 @@ from stickslip.analysis.answer import Answer
 from stickslip.analysis.contrast import contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Basis, Finding, Form, KeyChange, Level, Quantity, Share
-from stickslip.analysis.findings.place import Place
+from stickslip.analysis.findings.place import Place, told_apart
 from stickslip.analysis.measures import of_windows
 from stickslip.analysis.members import noun
 from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, SETTLED
@@ -31,7 +31,7 @@ from stickslip.analysis.steps import Kind, Step, few, judged_together, table_of
 from stickslip.analysis.steps import Setting as Named
 from stickslip.pipeline.design import design
 from stickslip.pipeline.design.design import DEFAULT_READING, Change
-from stickslip.pipeline.design.labels import Label, apart
+from stickslip.pipeline.design.labels import Label
 
 PRIMARY = ("mean", "rate", "gamma")
 SHIFT = Quantity(
@@ -54,8 +54,7 @@ def answer(study: Study) -> Answer | None:
         return None
     all_copies.sort(key=lambda copies: (not copies.is_enough, -copies.setting.key["n"]))
     unit, confidence = noun(study.unit), study.settings.confidence
-    labels = [copies.label for copies in all_copies]
-    where = dict(zip(labels, map(Place.of, apart(labels)), strict=True))
+    where = told_apart([copies.label for copies in all_copies])
     unjudged = [step for copies in all_copies for step in _steps(study, copies, where[copies.label])]
     steps = judged_together(unjudged, 1 - confidence)
     lead, further, has_effects = list[Finding](), list[Finding](), False

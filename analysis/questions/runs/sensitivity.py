@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, Picture, Question
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.ensemble import Separation, Study
 from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Lifetime, Quantity, Reason, Share
 from stickslip.analysis.findings.place import Place
@@ -220,11 +221,12 @@ def _partings(study: Study, setting: Setting) -> Iterator[Parting]:
 
 def _alike(partings: Sequence[Parting]) -> list[list[Parting]]:
     """Partings, where those of displaced starts of a setting of which none has parted are together."""
-    groups: dict[object, list[Parting]] = {}
-    for k, parted in enumerate(partings):
+
+    def outcome(parted: Parting) -> object:
         is_open = parted.change.kind == START and not parted.pairs.has_parted.any()
-        groups.setdefault((parted.setting.label, parted.n_grew) if is_open else k, []).append(parted)
-    return [*groups.values()]
+        return (parted.setting.label, parted.n_grew) if is_open else id(parted)
+
+    return [*by_key(partings, outcome).values()]
 
 
 def _finding(alike: Sequence[Parting]) -> Lifetime | Share:

@@ -6,7 +6,7 @@ runs that differ in their start alone are of one setting, drawn or swept.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Basis, Regime
 from stickslip.analysis.findings.place import Place
@@ -21,28 +22,7 @@ from stickslip.analysis.findings.words import listed, plural
 from stickslip.analysis.grid import axes_of
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import DRAWN, ENGINE_KEYS, noun
-from stickslip.analysis.models.attractors import (
-    ESCAPING,
-    IRREGULAR,
-    PERIODIC,
-    REST,
-    SLIDING,
-    TORUS,
-    UNDECIDED,
-    Cycle,
-    alike,
-)
-from stickslip.analysis.models.fates import (
-    COLLAPSED,
-    DIVERGED,
-    FAILED,
-    LULL,
-    QUIET,
-    SUSTAINED,
-    UNMOVED,
-    bounded_share,
-    is_held,
-)
+from stickslip.analysis.models import attractors, fates
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.stats.shares import wilson
 from stickslip.pipeline.design.design import Axis, Unit, in_words
@@ -57,17 +37,17 @@ LEAST_UNITS = 4  # for a bound on a share that is 1
 _START = ("z", "w")
 #: What runs do, by kind of outcome: verb phrases in the plural, with {} for when, where it may yet change.
 PREDICATES = {
-    REST: "come to rest",
-    SLIDING: "end in steady sliding",
-    PERIODIC: "end on a limit cycle",
-    TORUS: "end on a torus",
-    IRREGULAR: "stay irregular",
-    ESCAPING: "grow without limit",
-    QUIET: "slide{} but may stick again",
-    SUSTAINED: "still stick and slip{}",
-    LULL: "slide{} but will stick again",
-    UNMOVED: "are stuck{}",
-    UNDECIDED: "are undecided",
+    attractors.REST: "come to rest",
+    attractors.SLIDING: "end in steady sliding",
+    attractors.PERIODIC: "end on a limit cycle",
+    attractors.TORUS: "end on a torus",
+    attractors.IRREGULAR: "stay irregular",
+    attractors.ESCAPING: "grow without limit",
+    fates.QUIET: "slide{} but may stick again",
+    fates.SUSTAINED: "still stick and slip{}",
+    fates.LULL: "slide{} but will stick again",
+    fates.UNMOVED: "are stuck{}",
+    attractors.UNDECIDED: "are undecided",
 }
 OUTCOMES = (*PREDICATES,)  # in the order of pages
 
@@ -94,7 +74,7 @@ class Runs(NamedTuple):
     @property
     def said(self) -> np.ndarray:
         """Kinds, where sliding is one with a proof and without."""
-        return np.where(self.kinds == QUIET, SLIDING, self.kinds)
+        return np.where(self.kinds == fates.QUIET, attractors.SLIDING, self.kinds)
 
     def at(self, chosen: np.ndarray) -> Runs:
         return Runs(*(column[chosen] for column in self))
@@ -140,7 +120,7 @@ class Setting:
     @property
     def is_certified(self) -> bool:
         """Whether each run that slides is proved to go on so."""
-        return not self.runs.n_of(QUIET)
+        return not self.runs.n_of(fates.QUIET)
 
     @property
     def t_end(self) -> float:
@@ -153,14 +133,15 @@ class Setting:
     @cached_property
     def kinds(self) -> tuple[Outcome, ...]:
         """What its runs do in the end, each once."""
-        return tuple(Outcome(kind) for kind in OUTCOMES if kind != UNDECIDED and (self.runs.said == kind).any())
+        known = {*self.runs.said.tolist()} - {attractors.UNDECIDED}
+        return tuple(Outcome(kind) for kind in OUTCOMES if kind in known)
 
     @cached_property
     def exits(self) -> tuple[Outcome, ...]:
         """As `kinds`, with cycles told apart by their exits per period."""
-        exits = np.unique(self.runs.exits[self.runs.kinds == PERIODIC]).tolist()
-        by_exits = [Outcome(PERIODIC, n) for n in exits]
-        return tuple(outcome for kind in self.kinds for outcome in (by_exits if kind.kind == PERIODIC else [kind]))
+        exits = np.unique(self.runs.exits[self.runs.kinds == attractors.PERIODIC]).tolist()
+        by_kind = {attractors.PERIODIC: [Outcome(attractors.PERIODIC, n) for n in exits]}
+        return tuple(outcome for kind in self.kinds for outcome in by_kind.get(kind.kind, [kind]))
 
 
 class Grid(NamedTuple):
@@ -172,13 +153,20 @@ class Grid(NamedTuple):
     @property
     def methods(self) -> dict[Label, list[Setting]]:
         """Settings by method."""
-        names = dict.fromkeys(setting.method for setting in self.settings)
-        return {name: [setting for setting in self.settings if setting.method == name] for name in names}
+        return by_key(self.settings, lambda setting: setting.method)
 
     def beside(self, setting: Setting) -> Place:
         """Where the line of a setting lies among those of its method."""
         axes = zip(self.axes[1:], setting.at[1:], strict=True)
         return Place(tuple((axis.name, in_words(row)) for axis, row in axes))
+
+    @property
+    def recorded_lines(self) -> Iterator[list[Setting]]:
+        """Lines along numbers, method by method, of settings of which it is recorded what their runs settle on."""
+        if self.axes and self.axes[0].x is not None:
+            for settings in self.methods.values():
+                recorded = [setting for setting in settings if setting.is_recorded]
+                yield from self.lines(recorded) if recorded else ()
 
     def lines(self, settings: Sequence[Setting]) -> list[list[Setting]]:
         """Settings of a method along the first axis, at each row of the others."""
@@ -190,9 +178,7 @@ class Grid(NamedTuple):
 
 def grid_of(study: Study) -> Grid:
     """The unchanged runs of a study by setting; settings of which all runs failed are left out."""
-    like: dict[tuple[object, ...], list[Group]] = {}
-    for group in study.groups:
-        like.setdefault(tuple(_regardless_of_start(group).values()), []).append(group)
+    like = by_key(study.groups, lambda group: tuple(_regardless_of_start(group).values()))
     firsts = [groups[0] for groups in like.values()]
     names = apart(labels([_regardless_of_start(group) for group in firsts]))
     axes = _axes(firsts)
@@ -234,7 +220,7 @@ def _setting(study: Study, name: Label, groups: Sequence[Group], axes: Sequence[
     rows = np.concatenate([group.rows for group in groups])
     kinds = np.concatenate([_fates(group) for group in groups])
     members = study.data.table.own
-    is_known, is_recorded = kinds != FAILED, False
+    is_known, is_recorded = kinds != fates.FAILED, False
     if "attractor" in members and members["attractor"].iloc[rows].notna().any():
         kinds = members["attractor"].iloc[rows].to_numpy(object)
         is_known, is_recorded = members["attractor"].iloc[rows].notna().to_numpy(), True
@@ -252,18 +238,18 @@ def _setting(study: Study, name: Label, groups: Sequence[Group], axes: Sequence[
 
 
 def _fates(group: Group) -> np.ndarray:
-    """The fate of each run of a group as a kind of outcome, or `FAILED`."""
+    """The fate of each run of a group as a kind of outcome, or `fates.FAILED`."""
     kinds = group.fates.copy()
     t_last, n_last = group.last.T
-    is_stuck = is_held(t_last, n_last, int(group.key["n"]), float(group.key["t_end"]))
-    kinds[(kinds == SUSTAINED) & is_stuck] = UNMOVED
-    kinds[kinds == COLLAPSED], kinds[kinds == DIVERGED] = SLIDING, ESCAPING
+    is_stuck = fates.is_held(t_last, n_last, int(group.key["n"]), float(group.key["t_end"]))
+    kinds[(kinds == fates.SUSTAINED) & is_stuck] = fates.UNMOVED
+    kinds[kinds == fates.COLLAPSED], kinds[kinds == fates.DIVERGED] = attractors.SLIDING, attractors.ESCAPING
     return kinds
 
 
 def told_apart(study: Study, runs: Runs) -> Runs:
     """The runs of one system with the numbers of their cycles."""
-    which = np.flatnonzero(runs.kinds == PERIODIC)
+    which = np.flatnonzero(runs.kinds == attractors.PERIODIC)
     if not len(which):
         return runs
     section_z, section_w = (study.data.lists[name] for name in ("section_z", "section_w"))
@@ -271,11 +257,11 @@ def told_apart(study: Study, runs: Runs) -> Runs:
     events, periods = (study.number(name)[runs.rows[which]] for name in ("events_per_period", "period"))
     columns = zip(names, events, runs.exits[which], periods, strict=True)
     cycles = [
-        Cycle(int(n_events), int(n_exits), float(period), section_z[name], section_w[name])
+        attractors.Cycle(int(n_events), int(n_exits), float(period), section_z[name], section_w[name])
         for name, n_events, n_exits, period in columns
     ]
     numbers = runs.cycles.copy()
-    numbers[which] = [number if number <= MOST_CYCLES else 0 for number in alike(cycles)]
+    numbers[which] = [number if number <= MOST_CYCLES else 0 for number in attractors.alike(cycles)]
     return runs._replace(cycles=numbers)
 
 
@@ -292,9 +278,10 @@ def predicates(study: Study, outcomes: Sequence[Outcome], settings: Sequence[Set
 
 
 def _words(outcome: Outcome, settings: Sequence[Setting]) -> str:
-    if outcome.kind == SLIDING and (n_quiet := sum(setting.runs.n_of(QUIET) for setting in settings)):
-        is_partly = any(setting.runs.n_of(SLIDING) for setting in settings)
-        return f"slide steadily{{}} ({n_quiet:,} may stick again)" if is_partly else PREDICATES[QUIET]
+    n_quiet = sum(setting.runs.n_of(fates.QUIET) for setting in settings)
+    if outcome.kind == attractors.SLIDING and n_quiet:
+        is_partly = any(setting.runs.n_of(attractors.SLIDING) for setting in settings)
+        return f"slide steadily{{}} ({n_quiet:,} may stick again)" if is_partly else PREDICATES[fates.QUIET]
     exits = f" of {plural(outcome.exits, 'exit')} per period" if outcome.exits else ""
     return PREDICATES[outcome.kind] + exits
 
@@ -345,10 +332,10 @@ def portions(study: Study, runs: Runs, name: str = "", besides: Iterable[str] = 
     rows = []
     for kind, cycle in order:
         has = runs.in_outcome(kind, cycle)
-        untold = (runs.kinds == QUIET) & (kind == SUSTAINED)
+        untold = (runs.kinds == fates.QUIET) & (kind == fates.SUSTAINED)
         share = share_of(has, untold, runs.units, study.settings.confidence)
         row = Portion(name, kind, cycle or None, int(has.sum()), len(has), share)
-        if kind == PERIODIC and has.any():
+        if kind == attractors.PERIODIC and has.any():
             period, multiplier = (study.number(number)[runs.rows[has]] for number in ("period", "multiplier"))
             row = replace(row, period=float(np.median(period)), multiplier=float(multiplier.max()))
         rows.append(row)
@@ -359,7 +346,7 @@ def share_of(has: np.ndarray, untold: np.ndarray, units: np.ndarray, confidence:
     """Share of runs that have something, which is unknown of others; dependent in one unit: that has no interval."""
     place = np.unique(units, return_inverse=True)[1]
     counts = np.column_stack([np.bincount(place, has), np.bincount(place, untold), np.bincount(place)])
-    share = bounded_share(counts, confidence)
+    share = fates.bounded_share(counts, confidence)
     return share if len(counts) > 1 else Estimate(share.value)
 
 
@@ -393,9 +380,7 @@ def regimes(
     Of more outcomes than lead a page, those come first that all runs of a setting share.
     """
     axis = grid.axes[0]
-    by_outcome: dict[tuple[Outcome, ...], list[slice]] = {}
-    for stretch in stretches(outcomes):
-        by_outcome.setdefault(outcomes[stretch.start], []).append(stretch)
+    by_outcome = by_key(stretches(outcomes), lambda stretch: outcomes[stretch.start])
     line_place = grid.beside(line[0]) + method
     in_order = [*by_outcome]
     if len(in_order) > MOST_LEADING:
@@ -425,7 +410,7 @@ def _span(line: Sequence[Setting]) -> list[str]:
 def _regime(study: Study, where: Place, settings: Sequence[Setting], outcomes: Sequence[Outcome]) -> Regime:
     """What runs do at some settings, with the share that the first outcome has; it is unknown of the undecided."""
     runs, level = together(settings), study.settings.confidence
-    untold = runs.kinds == UNDECIDED
+    untold = runs.kinds == attractors.UNDECIDED
     in_order = sorted(outcomes, key=lambda outcome: "{}" in _words(outcome, settings))
     has = (runs.said == in_order[0].kind) & ((runs.exits == in_order[0].exits) | (in_order[0].exits == 0))
     n_units = max(setting.n_units for setting in settings)
@@ -434,6 +419,6 @@ def _regime(study: Study, where: Place, settings: Sequence[Setting], outcomes: S
         share = share_of(has, untold, runs.units, level)
         if has.all():
             share = Estimate(1.0, wilson(n_units, n_units, level)[0], 1.0)
-    words = predicates(study, [*in_order, *[Outcome(UNDECIDED)] * bool(untold.any())], settings)
+    words = predicates(study, [*in_order, *[Outcome(attractors.UNDECIDED)] * bool(untold.any())], settings)
     basis = Basis(n_units, unit(study, settings))
     return Regime(in_order[0].kind, things(basis), words, int(has.sum()), len(has), share, where, basis)

@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip.analysis.answer import Answer
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.catalogues import bent, read
 from stickslip.analysis.contrast import Contrast, contrast, course
 from stickslip.analysis.ensemble import Study
@@ -286,8 +287,7 @@ def _largest_changes(steps: Sequence[KeyStep]) -> list[KeyStep]:
     A statistic that turns on the way is said from end to end.
     """
     chosen = []
-    for axis in dict.fromkeys(step.axis for step in steps):
-        along = [step for step in steps if step.axis == axis]
+    for along in by_key(steps, lambda step: step.axis).values():
         chosen.append(
             max(along, key=lambda step: (bool(step.turn), step.contrast.is_shown, step.is_last, step.contrast.weight))
         )
@@ -314,9 +314,7 @@ def _rest(grid: Grid, order: Sequence[str], steps: Sequence[KeyStep], unit: str)
 def _thresholds(grid: Grid, setting: Label, unit: str) -> Iterator[Threshold]:
     """Between which values of the first key all runs cease to be in motion, or begin to, wherever the others are."""
     axis, *axes = grid.axes
-    by_place: dict[tuple[KeyValues, ...], list[Point]] = {}
-    for point in grid.points[setting]:
-        by_place.setdefault(tuple(point.place[further_axis] for further_axis in axes), []).append(point)
+    by_place = by_key(grid.points[setting], lambda point: tuple(point.place[further] for further in axes))
     for place, points in by_place.items():
         moves = [_all_or_none(point) for point in points]
         if None in (moves[0], moves[-1]) or moves[0] == moves[-1]:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stickslip.analysis.answer import Answer, Picture, Question, Recipe, lack, places, systems
+from stickslip.analysis.answer import Answer, Picture, Question, Recipe, lack, places
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code, drift
 from stickslip.analysis.findings.finding import (
@@ -33,7 +33,7 @@ from stickslip.analysis.findings.finding import (
 from stickslip.analysis.findings.numbers import signs, with_interval
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.groups import Group
-from stickslip.analysis.members import ENGINE_KEYS
+from stickslip.analysis.members import ENGINE_KEYS, noun
 from stickslip.analysis.models import fates, pool
 from stickslip.analysis.questions.runs.engines import between_engines
 from stickslip.analysis.questions.slips import cascade_definitions, cascade_figures
@@ -183,7 +183,7 @@ def gain(sums: Sums, confidence: float) -> Estimate:
 def answer(study: Study) -> Answer:
     """How cascade sizes fall off, beside what three nulls would give."""
     level = study.settings.confidence
-    sums = {group.label: _sums(study, group) for group in study.groups if group.has_onsets}
+    sums: dict[str, Sums] = {group.label: _sums(study, group) for group in study.groups if group.has_onsets}
     judged = [group for group in study.judged() if group.label in sums]
     if not judged and study.judged():
         return Answer(findings=[Lack("the decay rate of cascade sizes", Reason.MERGED)])
@@ -192,7 +192,7 @@ def answer(study: Study) -> Answer:
     # blocks are shifted where it is said what that gives
     alike = [_in_parts(study, entry) for entry in with_rate if _engine(entry) == _engine(with_rate[0])]
     sums |= {entry.group.label: entry for entry in alike}
-    sizes = {label: _sizes(entry, level) for label, entry in sums.items()}
+    sizes: dict[str, list[Size]] = {label: _sizes(entry, level) for label, entry in sums.items()}
     tables = {
         "law": frame_of(LawRow, [_law_row(entry, level) for entry in sums.values()]),
         "sizes": frame_of(Size, [size for of_group in sizes.values() for size in of_group]),
@@ -225,7 +225,7 @@ def _method(study: Study) -> str:
     return (
         "A cascade is a run of slip onsets with no arrest in between, and s is their number. The geometric "
         f"distribution f ∝ exp(−γ s){f' from {smallest} on' * (smallest > 1)} is fitted by maximum likelihood, with "
-        f"intervals over {systems(study)}s; with p = 1/2, γ is ln 2. Three effects shift γ from there and may "
+        f"intervals over {noun(study.unit)}s; with p = 1/2, γ is ln 2. Three effects shift γ from there and may "
         "cancel: finite size, alone in independent two-state blocks (as many, without memory, the same mean number "
         "sticking); each block's own dynamics, also in time-shifted blocks (each shifted by a random time, "
         f"{min(study.settings.resamples, SHIFTS)} draws per run); coupling, in the runs alone."
@@ -242,7 +242,7 @@ def _drifting(study: Study, judged: Sequence[Group], sums: Mapping[str, Sums]) -
     lead = min(drifts, key=lambda group: (not group.is_exact, -int(group.key["n"])), default=None)
     if lead is None or (rate := sums[lead.label].estimate(gamma, level)).low is None:
         return None
-    return Level(RATE, rate, places(study)[lead.label], basis=Basis(len(sums[lead.label].rows), systems(study)))
+    return Level(RATE, rate, places(study)[lead.label], basis=Basis(len(sums[lead.label].rows), noun(study.unit)))
 
 
 def _drift(study: Study) -> Alert:
@@ -291,13 +291,13 @@ def _of_run(least: int, draws: int, run: Run) -> np.ndarray:
 
 def _rates(study: Study, sums: Sums, where: Place) -> list[Level]:
     """The decay rate beside ln 2 and, as far as known, those of shifted and of two-state blocks."""
-    level, margin = study.settings.confidence, study.margins.get("gamma")
+    level, margin = study.settings.confidence, study.settings.margins.get("gamma")
     nulls: dict[str, Statistic] = {COIN: over_coin}
     if sums.is_shifted:
         nulls[SHIFTED] = over_shifted
     if sums.pool_mean is not None:
         nulls[TWO_STATE] = lambda rows: gamma(rows) / of_pool(sums.n, rows) - 1
-    rate, basis = sums.estimate(gamma, level), Basis(len(sums.rows), systems(study))
+    rate, basis = sums.estimate(gamma, level), Basis(len(sums.rows), noun(study.unit))
     return [
         Level(
             RATE if null == COIN else BESIDE,
@@ -327,7 +327,7 @@ def _findings(study: Study, sums: Sums, where: Place) -> list[Finding]:
 
 def _beside_others(study: Study, sums: Sums) -> list[Level]:
     """The decay rate by other engines or their settings beside that of a group, the largest difference first."""
-    label, where, unit = sums.group.label, places(study), systems(study)
+    label, where, unit = sums.group.label, places(study), noun(study.unit)
     steps = [step for step in between_engines(study, "gamma") if step.reference == label and sums.smallest == 1]
     steps.sort(key=lambda step: step.contrast.weight, reverse=True)
     name = engine_name(sums.group.key["engine"])
@@ -420,13 +420,13 @@ def _figures(
     study: Study, lead: Sums, with_rate: Sequence[Sums], sizes: Mapping[str, list[Size]]
 ) -> dict[str, Picture]:
     level, burn = study.settings.confidence, f"t = {study.settings.at(study.settings.t_burn)}"
-    rate, system = lead.estimate(gamma, level), systems(study)
+    rate, system = lead.estimate(gamma, level), noun(study.unit)
     values, errors = of_systems(lead.parts)
     values, errors = values[np.isfinite(errors)], errors[np.isfinite(errors)]
     half = student.half_width(level, PARTS - 1) * errors
     of_each = [Estimate(*ends) for ends in np.column_stack([values, values - half, values + half])]
     curves = [entry for entry in with_rate if entry.n == lead.n][:MOST_DRAWN]
-    labels: Sequence[Label] = apart([sums.group.name for sums in curves])
+    labels: Sequence[Label] = apart([sums.group.label for sums in curves])
     of_which = f" ({labels[0]})" if labels[0] else ""
     lasting, scatter = between(values, errors, PARTS - 1, level), ""
     if lasting.value is not None:

@@ -9,7 +9,7 @@ from math import pi
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullLocator
 
-from stickslip.analysis.answer import Answer, Picture, Question, Recipe, lack, places, systems
+from stickslip.analysis.answer import Answer, Picture, Question, Recipe, places
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import Basis, Finding, Fit, Form, Lack, Law, Level, Quantity, Reason
@@ -17,8 +17,9 @@ from stickslip.analysis.findings.numbers import number, signs
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import listed
 from stickslip.analysis.groups import Group
+from stickslip.analysis.members import noun
 from stickslip.analysis.models.common_motion import SURROGATES, Number, Shown
-from stickslip.analysis.questions.slips.slow_motion import CYCLES, Band, Slow, misfits, slow_motion
+from stickslip.analysis.questions.slips.slow_motion import CYCLES, Band, Slow, misfits, slow_motions
 from stickslip.analysis.questions.slips.triggering import CLUSTERING, exits_of, triggered
 from stickslip.analysis.rows import frame_by, frame_of
 from stickslip.analysis.settings import AnalysisSettings
@@ -49,23 +50,20 @@ _METHOD = (
 
 def answer(study: Study) -> Answer:
     """How much of the variance slow common motion accounts for, and how many exits trigger others."""
-    if not study.data.events:
-        return Answer(findings=[Lack(WHAT, Reason.NOT_RECORDED, "set events = true under [record]")])
-    judged = study.judged()
-    if not judged:
-        return Answer(findings=[lack(study, WHAT)])
-    motions = [motion for group in judged if (motion := study.once(slow_motion, group)) is not None]
+    motions = slow_motions(study, WHAT)
+    if isinstance(motions, Lack):
+        return Answer(findings=[motions])
     motions.sort(key=lambda motion: not motion.is_shown)  # of like ones the first leads
     if not motions:
         return Answer(findings=[Lack(WHAT, Reason.FEW_EVENTS)])
-    level, lead, where_of, unit = study.settings.confidence, motions[0], places(study), systems(study)
+    level, lead, where_of, unit = study.settings.confidence, motions[0], places(study), noun(study.unit)
     exits, where = exits_of(study, lead.group), where_of[lead.group.label]
     bands = {motion.group.label: motion.bands(level) for motion in motions[:MOST_GROUPS]}
-    fitted = [(motion, where_of[motion.group.label]) for motion in motions if motion.is_shown]
-    missed = misfits(motions, level)
-    laws = [_law(motion, place, unit, motion.group.label in missed) for motion, place in fitted]
+    fitted = [motion for motion in motions if motion.is_shown]
+    missed = misfits(fitted, level)
+    laws = [_law(motion, where_of[motion.group.label], unit, motion.group.label in missed) for motion in fitted]
     labels = [motion.group.label for motion in motions if bands.get(motion.group.label)]
-    q_of = {motion.group.label: f": {_q(motion)}" for motion, _ in fitted if motion.group.label not in missed}
+    q_of = {motion.group.label: f": {_q(motion)}" for motion in fitted if motion.group.label not in missed}
     named = {signs(str(where_of[label]) or label) + q_of.get(label, ""): bands[label] for label in labels}
     recipe = partial(spectrum, named, hues(study, labels), study.settings.units)
     leading: list[Finding] = [_lacking(lead, where, study.settings)]

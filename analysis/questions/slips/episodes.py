@@ -14,15 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stickslip.analysis import answer as answers
 from stickslip.analysis.answer import Answer, Picture, Question
-from stickslip.analysis.catalogues import (
-    Catalogues,
-    bent,
-    fineness,
-    read,
-    systems,
-)
+from stickslip.analysis.catalogues import Catalogues, bent, fineness, read, systems
 from stickslip.analysis.contrast import Contrast, Statistic, contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code, drift
@@ -46,7 +39,7 @@ from stickslip.analysis.findings.finding import (
 from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital, listed, plural
-from stickslip.analysis.members import DRAWN
+from stickslip.analysis.members import DRAWN, noun
 from stickslip.analysis.methods import MAGNITUDES, PRIMARY, Apart, compare, names, settings_of
 from stickslip.analysis.models.episodes import (
     BY_WAY,
@@ -60,6 +53,7 @@ from stickslip.analysis.models.episodes import (
     SLIP,
     SLOW_DRIVE,
     STORED,
+    Catalogue,
 )
 from stickslip.analysis.models.largest_gap import Difference as LawDifference
 from stickslip.analysis.models.magnitudes import WIDTH, misfit
@@ -69,7 +63,7 @@ from stickslip.analysis.outcomes import DIFFERENT, UNDECIDED, in_words
 from stickslip.analysis.questions.runs.engines import between_engines
 from stickslip.analysis.rows import Columns, frame_by, frame_of
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio, within
+from stickslip.analysis.stats.estimates import Estimate, within
 from stickslip.analysis.steps import table_of
 from stickslip.analysis.style import GREY, hues, panel
 
@@ -87,11 +81,7 @@ _METHOD = (
     " 2%, or by chance; b of two datasets can be compared on one range, [analysis] magnitude_range."
 )
 #: What follows the range of a power law in a sentence.
-BEYOND: Mapping[Kind, str] = {
-    Kind.POWER: "",
-    Kind.CUT_OFF: " with a cut-off",
-    Kind.PEAK: ", below a peak,",
-}
+BEYOND: Mapping[Kind, str] = {Kind.POWER: "", Kind.CUT_OFF: " with a cut-off", Kind.PEAK: ", below a peak,"}
 #: What is said of each group, in this order.
 WORDS: Mapping[str, Quantity] = {
     RATE: Quantity("rate", "rate of episodes", things="episodes", dimension="frequency"),
@@ -245,7 +235,7 @@ def answer(study: Study) -> Answer | None:
     lead = _lead(judged)
     leaders = [reference for reference, *_ in by_system if reference.is_judged] or [lead]
     pairs = [*compare(study, by_system), *_of_onsets(study, by_system)]
-    rates = _rates(counted, leaders, level)
+    rates = _rates(counted, leaders)
     tables |= {
         "episode_contrasts": table_of(pair.step for pair in pairs if pair.name not in (MAGNITUDES, ONSETS)),
         "episode_methods": frame_by(_METHODS, [pair for pair in pairs if pair.name == MAGNITUDES]),
@@ -256,7 +246,7 @@ def answer(study: Study) -> Answer | None:
             Hazard, [Hazard(group.label, *row) for group in leaders for row in group.recurrence.bins]
         ),
     }
-    basis = answers.systems(study)
+    basis = noun(study.unit)
     is_told = len(leaders) > 1 or lead is not by_system[0][0]
     places = {group.label: Place.of(group.method) if is_told else EVERYWHERE for group in leaders}
     in_order = sorted(leaders, key=lambda group: group is not lead)
@@ -295,7 +285,7 @@ def _lack(study: Study, groups: Sequence[Catalogues]) -> Lack:
     if not groups:
         return Lack("the statistics of episodes", Reason.CREEP)
     richest = max(groups, key=lambda group: group.n_episodes)
-    detail = f"{plural(len(richest.runs), answers.systems(study))}, {plural(richest.n_episodes, 'episode')}"
+    detail = f"{plural(len(richest.runs), noun(study.unit))}, {plural(richest.n_episodes, 'episode')}"
     return Lack("the statistics of episodes", _REASONS[richest.basis.code], detail)
 
 
@@ -407,7 +397,7 @@ def _is_blurred(group: Catalogues) -> bool:
 def _changes(leaders: Sequence[Catalogues], level: float, unit: str) -> list[Change]:
     """From the first of a row of systems to the last: mean size, and episodes per travel of the belt."""
     smallest, largest = leaders[0], leaders[-1]
-    ends = [dict(group.group.name.parts) for group in (smallest, largest)]
+    ends = [dict(group.group.label.parts) for group in (smallest, largest)]
     keys = [key for key in ends[0] if key and ends[0][key] != ends[1].get(key)]
     if len(keys) != 1:
         return []
@@ -431,14 +421,15 @@ def along(first: Catalogues, last: Catalogues, name: str, level: float) -> Contr
 
 def _picture(study: Study, group: Catalogues, where: Place) -> list[Finding]:
     """What the magnitudes of a group are like: the law with its b, and its cut-off, its peak and how far it goes."""
-    law, basis = group.law, Basis(len(group.runs), answers.systems(study))
+    law, basis = group.law, Basis(len(group.runs), noun(study.unit))
     moments = "moments of episodes"
     if law.picture is Kind.OPEN:
         return [Lack(f"the law of moments{where.tail}", Reason.NOT_SHOWN, law.why)]
     scope = Level(IN_RANGE, group.in_range, where, basis=basis)
     span = f"M = {law.least:.1f} to {law.most:.1f}"
     if law.picture is Kind.NONE:
-        mean = Level(MOMENT, _mean_moment(study, group), where, basis=basis)
+        moment = group.ratio(lambda run: (np.abs(run.moment).sum(), len(run.moment)))
+        mean = Level(MOMENT, moment, where, basis=basis)
         b = Level(B_VALUE, law.b, where + Place.words(span), basis=basis)
         far = b if law.b.high is not None and law.b.high <= 0.0 else None
         findings: list[Finding] = [Law(moments, f"follow a power law, since {law.why}", mean, Fit.FAILS, far)]
@@ -489,16 +480,7 @@ def _times_between(group: Catalogues, where: Place, basis: Basis) -> list[Findin
 
 def _beside_poisson(cv: Estimate) -> Comparison:
     """A coefficient of variation beside that of a Poisson process."""
-    low, high = (None if end is None else end - 1.0 for end in (cv.low, cv.high))
-    return Comparison(_POISSON, Difference(Estimate((cv.value or 0.0) - 1.0, low, high), Scale.ABSOLUTE))
-
-
-def _mean_moment(study: Study, group: Catalogues) -> Estimate:
-    sums = [
-        [sum(np.abs(run.moment).sum() for run in runs), sum(len(run.moment) for run in runs)]
-        for runs in group.runs.values()
-    ]
-    return over_matrices(ratio, np.array(sums, dtype=np.float64), study.settings.confidence)
+    return Comparison(_POISSON, Difference(cv.under(lambda value: value - 1.0), Scale.ABSOLUTE))
 
 
 def _alerts(study: Study, groups: Sequence[Catalogues], references: Sequence[Catalogues]) -> list[Alert]:
@@ -534,7 +516,12 @@ def _occupancy(group: Catalogues) -> float:
     return group.estimates[OCCUPANCY].value or 0.0
 
 
-def _rates(groups: Sequence[Catalogues], leaders: Sequence[Catalogues], level: float) -> list[Frequency]:
+def _at_least(magnitude: float, run: Catalogue) -> tuple[float, float]:
+    """Number of episodes of at least a magnitude, and the time in which they were counted."""
+    return float(np.sum(run.magnitude >= magnitude)), run.t_stop - run.t_start
+
+
+def _rates(groups: Sequence[Catalogues], leaders: Sequence[Catalogues]) -> list[Frequency]:
     """Episodes in each class of magnitudes, from the smallest of those that lead, and per unit time from it on."""
     first_edge = CLASS * np.floor(min(float(group.magnitudes().min()) for group in leaders) / CLASS)
     rates: list[Frequency] = []
@@ -544,7 +531,7 @@ def _rates(groups: Sequence[Catalogues], leaders: Sequence[Catalogues], level: f
         for edge in first_edge + CLASS * np.arange(n_classes):
             above = magnitudes[magnitudes >= edge]
             density = np.count_nonzero(above < edge + CLASS) / (len(magnitudes) * CLASS)
-            rate = over_matrices(ratio, np.array([*group.at_least(edge).values()]), level)
+            rate = group.ratio(partial(_at_least, edge))
             rates.append(Frequency(group.label, float(edge), density, len(above), within(rate, 0.0)))
     return rates
 

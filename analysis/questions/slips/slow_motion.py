@@ -9,7 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from stickslip.analysis.answer import lack
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.findings.finding import Lack, Reason
 from stickslip.analysis.groups import Group
 from stickslip.analysis.models import common_motion
 from stickslip.analysis.models.common_motion import (
@@ -110,9 +112,17 @@ class Slow:
         return float(share + power.mean() / self.data.independent[:, harmonics].mean())
 
 
-def misfits(motions: Sequence[Slow], confidence: float) -> dict[str, float]:
+def slow_motions(study: Study, what: str) -> list[Slow] | Lack:
+    """Slow common motion of each group that may be judged; or why something, a noun phrase, cannot be told of any."""
+    if not study.data.events:
+        return Lack(what, Reason.NOT_RECORDED, "set events = true under [record]")
+    judged = study.judged()
+    motions = [motion for group in judged if (motion := study.once(slow_motion, group)) is not None]
+    return motions if judged else lack(study, what)
+
+
+def misfits(fitted: Sequence[Slow], confidence: float) -> dict[str, float]:
     """The groups, by label, of which a damped oscillator misses the spectrum: p-values adjusted by Holm's rule."""
-    fitted = [motion for motion in motions if motion.is_shown]
     p_values = holm([motion.goodness.p_value for motion in fitted]).tolist()
     return {motion.group.label: p for motion, p in zip(fitted, p_values, strict=True) if p < 1 - confidence}
 

@@ -60,7 +60,6 @@ class Exits(NamedTuple):
         Mean time between exits.
     """
 
-    group: Group
     pairs: list[Pairs]
     n_units: int
     gap: float
@@ -108,7 +107,7 @@ def exits_of(study: Study, group: Group) -> Exits | None:
     if len(sums) < 2:
         return None
     pairs = compare(group.label, sums[:, :n_columns].reshape(-1, len(taus), 2), sums[:, n_columns], taus, confidence)
-    return Exits(group, pairs, len(sums), n_runs * span / n_exits)
+    return Exits(pairs, len(sums), n_runs * span / n_exits)
 
 
 def compare(label: str, rows: np.ndarray, exits: np.ndarray, taus: Sequence[float], confidence: float) -> list[Pairs]:
@@ -118,12 +117,8 @@ def compare(label: str, rows: np.ndarray, exits: np.ndarray, taus: Sequence[floa
     pairs = []
     for k, (effect, p_adjusted) in enumerate(zip(effects, together(effect.p for effect in effects), strict=True)):
         observed = over_matrices(ratio, np.column_stack([rows[:, k, 0], exits]), confidence)
-        ends = (effect.ratio.value, effect.ratio.low, effect.ratio.high)
-        value, low, high = (None if end is None else end - 1 for end in ends)
-        family = None
-        if p_adjusted is not None:
-            family = Family(len(taus), p_adjusted, alpha=1 - confidence)
-        difference = Difference(Estimate(value, low, high), family=family)
+        family = None if p_adjusted is None else Family(len(taus), p_adjusted, alpha=1 - confidence)
+        difference = Difference(effect.ratio.under(lambda ratio: ratio - 1), family=family)
         independent = float(rows[:, k, 1].sum() / exits.sum())
         pairs.append(Pairs(label, taus[k], observed, independent, effect.ratio, difference))
     return pairs

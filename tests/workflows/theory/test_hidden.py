@@ -11,8 +11,9 @@ from scipy.optimize import brentq, fsolve
 
 from stickslip.sim import IntegrationError, System, simulate
 from stickslip.workflows.gallery.theory.blowup import Blowup, continuations
-from stickslip.workflows.gallery.theory.laws import Coulomb, Modified, SmoothLaw, StaticAboveKinetic
+from stickslip.workflows.gallery.theory.laws import Coulomb, Modified, StaticAboveKinetic
 from stickslip.workflows.gallery.theory.slow_time import run_with_law
+from tests.workflows.theory.smooth import SmoothLaw
 
 PAIR = System([[1.6, -0.5], [-0.5, 2.1]], damping=0.1, belt_speed=-1.0)
 ONE = System([[1.0]], damping=0.1, belt_speed=-0.2)

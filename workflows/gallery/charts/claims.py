@@ -18,11 +18,10 @@ from stickslip.analysis.stats.shares import wilson
 
 REPRODUCED, CORRECTED, CONTRADICTED, UNTOLD = "reproduced", "corrected", "not reproduced", "cannot be told"
 CONFIDENCE = 0.95
-_TEXTS, _COUNTS, _NUMBERS = ("claim", "verdict"), ("figure", "found", "tried"), ("value", "low", "high")
-_TYPES: Mapping[str, Any] = (
-    dict.fromkeys(_TEXTS, "string") | dict.fromkeys(_COUNTS, "Int64") | dict.fromkeys(_NUMBERS, "Float64")
-)
-_TABLE = ("claim", "figure", "verdict", "found", "tried", *_NUMBERS)
+_TABLE: Mapping[str, Any] = {
+    "claim": "string", "figure": "Int64", "verdict": "string", "found": "Int64", "tried": "Int64", "value": "Float64",
+    "low": "Float64", "high": "Float64",
+}  # fmt: skip
 #: The name of a claim, its `verdict`, and the facts that its words need.
 Claim = dict[str, Any]
 
@@ -30,7 +29,9 @@ Claim = dict[str, Any]
 def table(judged: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     """The claims in numbers: `found` of `tried`, or a `value`, each with its interval."""
     rows = list(judged)
-    return pd.DataFrame({name: pd.array([row.get(name) for row in rows], dtype=_TYPES[name]) for name in _TABLE})
+    return pd.DataFrame(
+        {name: pd.array([row.get(name) for row in rows], dtype=dtype) for name, dtype in _TABLE.items()}
+    )
 
 
 def verdict_of(is_so: bool, otherwise: str = CONTRADICTED) -> str:

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 import pandas as pd
-from jinja2 import ChoiceLoader, Environment, FileSystemLoader, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, FileSystemLoader, PackageLoader
 from markupsafe import Markup
 
 from stickslip.analysis import Report
-from stickslip.analysis.page.layout import Page
+from stickslip.analysis.page.layout import RULES, Page
 from stickslip.analysis.page.parts import Drawn, draw
 from stickslip.workflows.gallery.charts import ChartScene
 from stickslip.workflows.gallery.charts.formats import FORMS
@@ -44,11 +44,8 @@ def _templates(folder: Path) -> Environment:
     packages = "stickslip.workflows.gallery.charts", "stickslip.analysis.page"
     templates = Environment(
         loader=ChoiceLoader([FileSystemLoader(folder), *(PackageLoader(name, ".") for name in packages)]),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
         extensions=["jinja2.ext.do"],
+        **RULES,
     )
     templates.filters |= FORMS
     templates.globals |= FORMS

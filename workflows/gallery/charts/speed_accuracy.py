@@ -16,6 +16,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from pydantic import Field
 
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.style import CYCLE, GREEN, GREY, PURPLE, legend, styled, subplots
 from stickslip.pipeline.scene.toml import BlockNumbers, Count, Positive
 from stickslip.workflows.gallery.charts import ChartScene, Say, Several, Shown
@@ -209,10 +210,8 @@ def _panels(measured: Measured) -> list[Panel]:
     panels = []
     for reference in measured.references:
         if reference.ratio is not None:
-            curves: dict[str, list[Cost]] = {}
-            for cost in measured.costs:
-                if cost.n == reference.n and cost.ratio in (None, reference.ratio):
-                    curves.setdefault(cost.method, []).append(cost)
+            costs = [c for c in measured.costs if c.n == reference.n and c.ratio in (None, reference.ratio)]
+            curves = by_key(costs, lambda cost: cost.method)
             panels.append(Panel(reference.n, reference.ratio, curves, reference.floor, n_events[reference.n]))
     return panels
 

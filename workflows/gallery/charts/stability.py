@@ -26,6 +26,7 @@ from matplotlib.patches import Patch, Rectangle
 from pydantic import Field
 
 from stickslip import sim
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.style import GREY, styled, subplots
 from stickslip.pipeline.scene.toml import Blocks, Positive
 from stickslip.workflows.gallery.charts import ChartScene, Say, Several, Shown
@@ -129,9 +130,7 @@ class StabilityScene(ChartScene):
         """Tables: `cells`, `references`."""
         groups = {axis: maps for axis in LAWS if (maps := _maps(measured.cells, axis))}
         maps = [panel for group in groups.values() for panel in group]
-        cells: dict[str, list[Cell]] = {}
-        for panel in maps:
-            cells.setdefault(panel.method, []).extend(panel.cells)
+        cells = by_key((cell for panel in maps for cell in panel.cells), lambda cell: cell.method)
         outcomes = {name: Counter(cell.outcome for cell in members) for name, members in cells.items()}
         ours = [method.name for method in METHODS if method.is_ours and method.name in outcomes]
         facts = {
@@ -211,11 +210,8 @@ class Map:
 
 
 def _maps(cells: Sequence[Cell], axis: Axis) -> list[Map]:
-    by_method: dict[str, list[Cell]] = {}
-    for cell in cells:
-        if cell.axis == axis and cell.outcome != "absent":
-            by_method.setdefault(cell.method, []).append(cell)
-    return [Map(axis, method, mine) for method, mine in by_method.items()]
+    drawn = [cell for cell in cells if cell.axis == axis and cell.outcome != "absent"]
+    return [Map(axis, method, mine) for method, mine in by_key(drawn, lambda cell: cell.method).items()]
 
 
 # ---------------------------------------------------------------------------------------------- figures

@@ -253,10 +253,10 @@ def robust(scene: Asked, measured: Measured) -> Claim:
         return facts | {"verdict": UNTOLD, "rms": None}
     values = np.array(means, dtype=float)
     result = components.against_redraw(values[:, :2], values[:, 2:], CONFIDENCE)
-    theta = result.theta
+    theta = result.theta  # its interval is unbounded where matrices cannot be told apart
     return facts | {
-        "verdict": REPRODUCED if result.is_below(BOUND) else CONTRADICTED if result.is_above(BOUND) else UNTOLD,
-        "value": theta.value if result.is_bounded else None,
+        "verdict": told(theta.low, theta.high, most=BOUND),
+        "value": None if theta.high is None else theta.value,
         "low": theta.low,
         "high": theta.high,
         "rms": {

@@ -111,7 +111,8 @@ def portrait(v: float) -> Portrait:
     """Paths from outside, and the one from the exit point."""
     system = single(v)
     stick = folds.stick_interval(system)
-    leaves = stick.low if v < 0.0 else stick.high
+    leaves = stick.exit
+    assert leaves is not None  # the belt moves
     turn = -np.sign(v)
     starts = [
         (3.0 * turn, 1.0 * turn),

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from scipy.signal import periodogram
 
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.models import fates
 from stickslip.analysis.series import cascades
 from stickslip.analysis.stats import dispersion, estimates, survival
@@ -278,10 +279,7 @@ def escapes(runs: Sequence[Row], t_end: float) -> list[Claim]:
 
 def panels(traces: Sequence[Trace], number: int) -> list[Callable[[], Figure]]:
     """The panels of n_stick(t) of a figure."""
-    by_panel: dict[str, list[Trace]] = {}
-    for trace in traces:
-        if trace.figure == number:
-            by_panel.setdefault(trace.panel, []).append(trace)
+    by_panel = by_key((trace for trace in traces if trace.figure == number), lambda trace: trace.panel)
     order = sorted(by_panel, key=lambda title: (len(title), title) if number == 3 else (0, title))
     return [partial(n_stick_panel, title, by_panel[title]) for title in order]
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
 from dataclasses import dataclass
-from queue import SimpleQueue
+from functools import partial
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -17,7 +15,7 @@ from stickslip import sim
 from stickslip.analysis.models.fates import is_all_slip
 from stickslip.analysis.series.nulls import block_steps
 from stickslip.pipeline.ensemble.member import MATRIX, PERTURBATION
-from stickslip.pipeline.machine.processes import Child
+from stickslip.pipeline.running.executor import Children
 from stickslip.pipeline.scene.engine_table import TOLERANCES
 from stickslip.workflows.gallery.charts.peers import W0, Z0, Floats, random_ratios, seed_of
 
@@ -97,29 +95,19 @@ class Path(NamedTuple):
 
 
 def run_all(asks: Sequence[Ask], seed: int, eps: float, workers: int) -> Iterator[Path]:
-    """Each run, in order, by so many processes; with one worker in this process."""
-    jobs = [(ask, seed, eps) for ask in asks]
-    if workers == 1:
-        yield from map(_run, jobs)
-        return
-    idle: SimpleQueue[Child] = SimpleQueue()
-
-    def by_child(job: tuple[Ask, int, float]) -> Path:
-        child = idle.get()
-        try:
-            path: Path = child(job)
-        finally:
-            idle.put(child)
-        return path
-
-    with ExitStack() as stack, ThreadPoolExecutor(workers) as pool:
-        for _ in range(workers):
-            idle.put(stack.enter_context(Child(_run, shows_errors=True)))
-        yield from pool.map(by_child, jobs)
+    """Each run, in order, by so many processes, of which this is one."""
+    paths: dict[int, Path] = {}
+    n_given = 0
+    with Children(workers - 1, _load) as processes:
+        for results in processes.map(partial(run, seed=seed, eps=eps), asks):
+            paths |= results
+            while n_given in paths:
+                yield paths.pop(n_given)
+                n_given += 1
 
 
-def _run(job: tuple[Ask, int, float]) -> Path:
-    return run(*job)
+def _load() -> None:
+    """In a child: what runs need is loaded with this module."""
 
 
 def system(ask: Ask, seed: int) -> sim.System:

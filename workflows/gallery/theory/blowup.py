@@ -140,7 +140,7 @@ class Blowup:
     def sticking_modes(self, force: ArrayLike, slip: ArrayLike = 0) -> tuple[Mode, ...]:
         """All equilibria of (14) in the closed box, with the blocks of `slip` slipping and the others stuck.
 
-        Complete for the laws of `laws`; for `SmoothLaw`, as it promises.
+        Complete for the laws of `laws`.
 
         Parameters
         ----------
