@@ -37,7 +37,7 @@ def printable(text: str) -> str:
 
 
 def foreign(error: BaseException, width: int = 300) -> str:
-    """An error of code that is not ours, in one line of at most `most` characters for terminals and tables."""
+    """An error of code that is not ours, in one line of at most `width` characters for terminals and tables."""
     try:
         words = str(error)
     except BaseException as another:  # noqa: BLE001  its own words are foreign code too
@@ -46,7 +46,7 @@ def foreign(error: BaseException, width: int = 300) -> str:
 
 
 def shortened(text: str, width: int) -> str:
-    """A text, of which a part may be foreign, in one line of at most `most` characters."""
+    """A text, of which a part may be foreign, in one line of at most `width` characters."""
     line = printable(" ".join(text.split()))
     return line if len(line) <= width else f"{line[: width - 3]}..."
 

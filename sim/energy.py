@@ -12,7 +12,6 @@ Between two events all of this is analytic, so Gauss quadrature on the states of
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,6 +29,9 @@ from stickslip.sim.systems.system import System
 
 #: Gauss nodes a segment, and its length in units of 1 / |eigenvalue|: the error is below 1e-12 of a segment.
 _NODES, _REACH = 8, 2.0
+_NODES_AND_WEIGHTS = np.polynomial.legendre.leggauss(_NODES)
+#: The nodes and weights on [0, 1].
+_GAUSS = (_NODES_AND_WEIGHTS[0] + 1) / 2, _NODES_AND_WEIGHTS[1] / 2
 #: A transient of heavy damping, at any rate, is resolved by segments of this share of the time since it began: where
 #: they are long for its rate, it has decayed. Damping is heavy if it exceeds this many times the root of a row sum of
 #: |K|.
@@ -133,7 +135,7 @@ def energy(system: System, run: Run, z0: ArrayLike, w0: ArrayLike, **settings: A
         if len(finer) > len(edges_of_part):
             edges = np.concatenate([edges[:first], finer, edges[first + longest + 1 :]])
             continue
-        modes = _modes(series, edges_of_part)
+        modes = series.modes_at(edges_of_part[:-1])
         z, w = rerun.samples.z[:: _NODES + 1], rerun.samples.w[:: _NODES + 1]
         within = slice(None if first + longest >= len(edges) - 1 else -1)  # else the next part begins with it
         stored.append(
@@ -178,15 +180,6 @@ def _nodes(edges: Floats) -> Floats:
     """The edges, and the Gauss nodes between them."""
     inside = edges[:-1, None] + np.diff(edges)[:, None] * _GAUSS[0]
     return np.append(np.column_stack([edges[:-1], inside]).ravel(), edges[-1])
-
-
-def _gauss() -> tuple[Floats, Floats]:
-    """Nodes and weights on [0, 1]."""
-    x, weights = np.polynomial.legendre.leggauss(_NODES)
-    return (x + 1) / 2, weights / 2
-
-
-_GAUSS = _gauss()
 
 
 def _edges(system: System, series: EventSeries) -> Floats:
@@ -258,13 +251,3 @@ def _require_few(n_segments: float, edges: Floats) -> None:
             f"run: expected one of at most {_MOST:,} segments, got {n_segments:.3g} in a time of {length:g}, as its"
             " blocks can change that fast or have as many events; take its energy up to an earlier t_end"
         )
-
-
-def _modes(series: EventSeries, edges: Floats) -> NDArray[np.int8]:
-    """Modes of all blocks on each segment, shape (len(edges) - 1, n)."""
-    modes = np.empty((len(edges) - 1, series.n), dtype=np.int8)
-    mode, upto = series.mode_at(edges[0]), np.searchsorted(series.t, edges, side="right")
-    for k, (done, due) in enumerate(itertools.pairwise(upto)):
-        modes[k] = mode
-        mode[series.block[done:due]] = series.mode[done:due]
-    return modes

@@ -333,14 +333,11 @@ def reading(place: Place) -> Iterator[None]:
     except (OSError, pa.ArrowInvalid) as error:  # a missing file, a page with a wrong checksum, a truncated file
         if isinstance(error, pa.ArrowInvalid) and "Parquet" not in str(error):
             raise
-        raise unreadable(place, error) from error
-
-
-def unreadable(place: Place, error: Exception) -> StoreError:
-    """The error for a dataset with a shard that cannot be read."""
-    remedy = "" if isinstance(place, Directory) else f"{place.remedy(error)}, or "
-    words = shortened(str(error).partition(" Detail: Python exception")[0], 400)  # of Arrow: a traceback follows
-    return StoreError(f"{place}: a shard cannot be read ({words}); {remedy}rerun the scene to rebuild it")
+        remedy = "" if isinstance(place, Directory) else f"{place.remedy(error)}, or "
+        words = shortened(str(error).partition(" Detail: Python exception")[0], 400)  # of Arrow: a traceback follows
+        raise StoreError(
+            f"{place}: a shard cannot be read ({words}); {remedy}rerun the scene to rebuild it"
+        ) from error
 
 
 @cache

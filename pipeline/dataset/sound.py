@@ -65,7 +65,8 @@ def fault_of_file(content: bytes, schema: pa.Schema, n_rows: int) -> str:
         chunks = [(group.column(k), group.num_rows) for group in groups for k in range(group.num_columns)]
         problem = next(filter(None, (fault_of_pages(content, *chunk) for chunk in chunks)), "")
         columns_there = [column for column, _ in chunks]
-        return problem or _too_large(columns_there, len(content)) or _too_long_texts(content, columns_there, schema)
+        needed = sum(max(8 * column.num_values, column.total_uncompressed_size) for column in columns_there)
+        return problem or _beyond(needed, len(content)) or _too_long_texts(content, columns_there, schema)
     except (*DAMAGE, ValueError) as error:
         return f"cannot be read ({shortened(str(error), 200)})"
 
@@ -79,12 +80,8 @@ def wrong_columns(columns: pa.Schema, schema: pa.Schema) -> str:
     return f"expected the columns of schema version {SCHEMA_VERSION} and this scene, got others ({name} first)"
 
 
-def _too_large(columns: Sequence[pq.ColumnChunkMetaData], n_bytes: int) -> str:
-    """Whether values and pages take more than a shard of this size can, or than this machine has."""
-    return _beyond(sum(max(8 * column.num_values, column.total_uncompressed_size) for column in columns), n_bytes)
-
-
 def _beyond(needed: int, n_bytes: int, small: int = _SMALL) -> str:
+    """Whether what a shard holds takes more than one of so many bytes can hold, or than this machine has."""
     limit = max(small, _RATIO * n_bytes)
     if needed > limit:
         return f"expected at most {limit / 1e6:.0f} MB in {n_bytes} bytes, got what takes {needed / 1e6:.0f} MB"

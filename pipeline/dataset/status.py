@@ -143,9 +143,7 @@ def counted(opened: Opened, tasks: Sequence[Task]) -> Status:
     whole_shards = [name for name, shard in sorted(shards.items()) if shard.n_failed and name not in lost]
     failed = rows_that_failed(opened, whole_shards) if whole_shards else []
     current = running(place)
-    rate = eta = None
-    if current is not None:
-        rate, eta = tally.pace(current.pace, time.time())
+    rate, eta = tally.pace(None if current is None else current.pace, time.time())
     return Status(
         **vars(tally),
         path=str(place),

@@ -137,23 +137,14 @@ class Change:
 
 
 class Coordinates(NamedTuple):
-    """Where some members stand in a design, int64, shape (R,) each.
+    """Where some members stand in a design, int64, shape (R,) each."""
 
-    Attributes
-    ----------
-    point, method, change : ndarray
-        Numbers of `Design.point`, `Design.methods` and `Design.changes`; the change 0 is none.
-    unit : ndarray
-        Members that have the same share what is drawn of the system, or of the start where that is the unit.
-    base : ndarray
-        The number of the member that each is a changed copy of; its own if it is none.
-    """
-
-    point: np.ndarray
+    point: np.ndarray  #: number of `Design.point`
+    #: Members that have the same share what is drawn of the system, or of the start where that is the unit.
     unit: np.ndarray
-    method: np.ndarray
-    change: np.ndarray
-    base: np.ndarray
+    method: np.ndarray  #: number in `Design.methods`
+    change: np.ndarray  #: number in `Design.changes`; 0 is none
+    base: np.ndarray  #: the number of the member that each is a changed copy of; its own if it is none
 
     def at(self, rows: slice | np.ndarray) -> Coordinates:
         """Those of some of the members."""
@@ -167,29 +158,18 @@ class Coordinates(NamedTuple):
 
 @dataclass(frozen=True)
 class Design:
-    """What an ensemble was made to differ in.
+    """What an ensemble was made to differ in."""
 
-    Attributes
-    ----------
-    axes : tuple of Axis
-        Of the grid, in the scene's order, the last one fastest; without seeds, which make other units.
-    constants : tuple of (str, value)
-        The keys that are not swept.
-    sources : tuple of Source
-        The grid is run for each.
-    fixed : frozenset of int
-        Points of the grid, by number, whose start is not drawn although the units are starts: there, matrices are.
-    numbers : tuple of int
-        The number of each point in the order of the grid, if that is another order: what was numbered before a scene
-        grew keeps its number.
-    """
-
+    #: Of the grid, in the scene's order, the last one fastest; without seeds, which make other units.
     axes: tuple[Axis, ...]
-    constants: tuple[tuple[str, Value], ...]
-    sources: tuple[Source, ...]
+    constants: tuple[tuple[str, Value], ...]  #: the keys that are not swept
+    sources: tuple[Source, ...]  #: the grid is run for each
+    #: Points of the grid, by number, whose start is not drawn although the units are starts: there, matrices are.
     fixed: frozenset[int]
     methods: tuple[Method, ...]
     changes: tuple[Change, ...]
+    #: The number of each point in the order of the grid, if that is another order: what was numbered before a scene
+    #: grew keeps its number.
     numbers: tuple[int, ...] = ()
 
     @property

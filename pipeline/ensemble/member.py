@@ -104,33 +104,22 @@ class Method(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """One run of an ensemble: all that determines it, and nothing else.
+    """One run of an ensemble: all that determines it, and nothing else."""
 
-    Attributes
-    ----------
-    member_id : str
-        Built from its own values alone: more matrices, sizes, draws or engines in the scene do not rename it.
-    terms : tuple of (str, value)
-        What its system is given, by the names of `stickslip.sim.systems.terms.TERMS`.
-    t_end : float
-        Dimensionless.
-    shared_cost : float
-        What records take for it, and its part of what is computed once for several members.
-    neighbours : tuple of Neighbour or None
-        Below and above, where the scene refines between them.
-    units : Scales, optional
-        What one dimensionless unit is in the units of `terms` and `begin`; None if these are dimensionless.
-    """
-
+    #: Built from its own values alone: more matrices, sizes, draws or engines in the scene do not rename it.
     member_id: str
     source: Source
+    #: What its system is given, by the names of `stickslip.sim.systems.terms.TERMS`.
     terms: tuple[tuple[str, Any], ...]
     change: Change
     begin: Start
     method: Method
-    t_end: float
+    t_end: float  #: dimensionless
+    #: What records take for it, and its part of what is computed once for several members.
     shared_cost: float = field(default=0.0, compare=False)
+    #: Below and above, where the scene refines between them.
     neighbours: tuple[Neighbour | None, Neighbour | None] = field(default=(None, None), compare=False)
+    #: What one dimensionless unit is in the units of `terms` and `begin`; None if these are dimensionless.
     units: sim.Scales | None = None
 
     @property

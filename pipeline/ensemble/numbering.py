@@ -19,16 +19,10 @@ _Table: TypeAlias = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Numbering:
-    """The members of a scene in a dataset: their design, and their numbers there.
-
-    Attributes
-    ----------
-    before : Numbering, optional
-        Of the scene that it grew from.
-    """
+    """The members of a scene in a dataset: their design, and their numbers there."""
 
     ensemble: Ensemble
-    before: Numbering | None = None
+    before: Numbering | None = None  #: of the scene that it grew from
 
     @cached_property
     def kept(self) -> np.ndarray:

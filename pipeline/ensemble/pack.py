@@ -28,19 +28,12 @@ _OF_REST, _SMALLEST = 0.25, 0.25
 
 @dataclass(frozen=True)
 class Batch:
-    """Consecutive members that are computed together and kept in one shard.
+    """Consecutive members that are computed together and kept in one shard."""
 
-    Attributes
-    ----------
-    number : int
-        Its place among the dataset's shards.
-    numbering : Numbering, optional
-        Of all members of their scene; in another process there are their coordinates alone.
-    """
-
-    number: int
+    number: int  #: its place among the dataset's shards
     members: Members
     scene_hash: str
+    #: Of all members of their scene; in another process there are their coordinates alone.
     numbering: Numbering | None = None
 
     def __getstate__(self) -> dict[str, Any]:

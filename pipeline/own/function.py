@@ -33,26 +33,13 @@ class LateError(SceneError):
 
 @dataclass(frozen=True, slots=True)
 class OwnFunction:
-    """A function of the user's, as it was when its scene was read.
+    """A function of the user's, as it was when its scene was read."""
 
-    Attributes
-    ----------
-    key : str
-        What errors begin with: the key of the scene that names it.
-    name : str
-        `module:function`.
-    sha256 : str
-        Of the module's file.
-    at : str
-        The folder that the module lies in, or one below it; or it is installed.
-    beside : tuple of two str
-        The files in the scene's folder that it loads or reads: paths there, and the sha256 of each.
-    """
-
-    key: str = field(compare=False)
-    name: str
-    sha256: str
-    at: str = field(compare=False)
+    key: str = field(compare=False)  #: what errors begin with: the key of the scene that names it
+    name: str  #: `module:function`
+    sha256: str  #: of the module's file
+    at: str = field(compare=False)  #: the folder that the module lies in, or one below it; or it is installed
+    #: The files in the scene's folder that it loads or reads: paths there, and the sha256 of each.
     beside: tuple[tuple[str, str], ...] = ()
 
     @property
@@ -125,7 +112,8 @@ def use(function: OwnFunction, work: Callable[[Callable[..., Any]], Any], is_tri
     """
     process = os.getpid()
     with _alone:
-        with own_modules(function.root, function.beside, is_trial) as late, np.errstate(), _aside():
+        aside = contextlib.redirect_stdout(sys.stderr)  # what it prints is no part of what a command says
+        with own_modules(function.root, function.beside, is_trial) as late, np.errstate(), aside:
             try:
                 result = work(_found(function))
             except Exception:
@@ -145,11 +133,6 @@ def use(function: OwnFunction, work: Callable[[Callable[..., Any]], Any], is_tri
     # modules stay as they were loaded; other files are read again
     check_beside(function.root, [file for file in function.beside if not module_of(file[0])], function.key)
     return result
-
-
-def _aside() -> contextlib.AbstractContextManager[object]:
-    """What a function prints is no part of what a command says: it goes to the standard error."""
-    return contextlib.redirect_stdout(sys.stderr)
 
 
 def _found(function: OwnFunction) -> Callable[..., Any]:

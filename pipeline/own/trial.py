@@ -20,36 +20,18 @@ LONGEST_TRIAL = 40.0
 
 
 class Trial(NamedTuple):
-    """What is tried of one function, or of several of one module.
+    """What is tried of one function, or of several of one module."""
 
-    Attributes
-    ----------
-    key : str
-        What errors begin with.
-    at : str
-        The folder of the scene.
-    attempt : callable
-        `attempt()` calls them once, with `is_trial`, and gives what must be the same each time, as bytes, and facts
-        to be kept, as plain values. It is pickled: named at the top of a module, or a `partial` of such.
-    called : str
-        The call in words, for errors.
-    expected : str
-        What it is to give, in words.
-    differs : str
-        What is wrong, and what to do, if it gives different things.
-    ready : callable, optional
-        Called before, in each child; it takes its time.
-    elsewhere : callable, optional
-        As `attempt`, which the other process calls in its place: the same in another order.
-    """
-
-    key: str
-    at: str
+    key: str  #: what errors begin with
+    at: str  #: the folder of the scene
+    #: `attempt()` calls them once, with `is_trial`, and gives what must be the same each time, as bytes, and facts to
+    #: be kept, as plain values. It is pickled: named at the top of a module, or a `partial` of such.
     attempt: Callable[[], tuple[bytes, dict[str, Any]]]
-    called: str
-    expected: str
-    differs: str = ""
-    ready: Callable[[], object] | None = None
+    called: str  #: the call in words, for errors
+    expected: str  #: what it is to give, in words
+    differs: str = ""  #: what is wrong, and what to do, if it gives different things
+    ready: Callable[[], object] | None = None  #: called before, in each child; it takes its time
+    #: As `attempt`, which the other process calls in its place: the same in another order.
     elsewhere: Callable[[], tuple[bytes, dict[str, Any]]] | None = None
 
 

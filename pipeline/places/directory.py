@@ -73,10 +73,10 @@ class Directory(Place):
             yield directory
 
     @contextlib.contextmanager
-    def _holding(self, name: str, is_made: bool = False) -> Iterator[tuple[str, int]]:
+    def _holding(self, name: str) -> Iterator[tuple[str, int]]:
         """A file's last name, and a descriptor of the folder that it is in."""
         *inner, name_there = name.split("/")
-        with self._folder(inner, is_made) as directory:
+        with self._folder(inner) as directory:
             yield name_there, directory
 
     def opened(self, name: str) -> int:

@@ -176,12 +176,7 @@ def filename(path: Path) -> Iterator[None]:
 class Replacement:
     """The new content of a file, under a name of its own until it takes the file's place.
 
-    Attributes
-    ----------
-    stream : BinaryIO
-        For the content.
-    directory : int
-        Descriptor of the folder, which has to stay open.
+    `directory` is the descriptor of the folder, which has to stay open; the content goes into `stream`.
     """
 
     def __init__(self, name: str, directory: int, path: Path) -> None:

@@ -156,17 +156,12 @@ def answer(path: Where | Opened, query: str) -> Iterator[pa.RecordBatchReader]:
 
 
 class _Shards(ds.InMemoryDataset):  # type: ignore[misc]  # Arrow says no types
-    """The shards of a dataset as DuckDB reads them: some columns of some rows, one shard after the other.
-
-    Attributes
-    ----------
-    fault : StoreError, optional
-        What was wrong with a shard: DuckDB hands on its words alone.
-    """
+    """The shards of a dataset as DuckDB reads them: some columns of some rows, one shard after the other."""
 
     def __init__(self, opened: Opened) -> None:
         super().__init__(opened.schema.empty_table())
         self._opened = opened
+        #: What was wrong with a shard: DuckDB hands on its words alone.
         self.fault: StoreError | None = None
 
     def scanner(self, columns: list[str] | None = None, filter: Any = None, **_: Any) -> _Scan:

@@ -22,32 +22,11 @@ from stickslip.pipeline.dataset.opened import Opened, frame, near, not_recorded,
 from stickslip.pipeline.dataset.schema import in_units, scalars
 from stickslip.pipeline.dataset.sound import joined
 from stickslip.pipeline.design.design import Coordinates
-from stickslip.pipeline.errors import QueryError
+from stickslip.pipeline.errors import QueryError as QueryError
 from stickslip.pipeline.places.place import Where
 
 if TYPE_CHECKING:
     from dask.dataframe import DataFrame
-
-__all__ = [
-    "QueryError",
-    "Shards",
-    "all_events",
-    "by_threshold",
-    "clusters",
-    "dask_members",
-    "ends",
-    "episodes",
-    "events",
-    "lists",
-    "members",
-    "members_in_parts",
-    "n_stick",
-    "profiles",
-    "scalar_names",
-    "separations",
-    "series",
-    "table",
-]
 
 Filters: TypeAlias = pc.Expression | list[tuple[Any, ...]]
 
@@ -211,7 +190,11 @@ def events(path: Where | Opened, member_id: str) -> sim.EventSeries:
     if "event_t" not in opened.schema.names:
         raise not_recorded("events")
     row, scene = _member_row(opened, member_id, _EVENT_COLUMNS), opened.scene
-    return _event_series(row, scene.system.block_names, scene.unit_names.time)
+    # nothing happens any more after a collapse: its series is known to the end
+    end = row["t_stop"] if row["outcome"].as_py() == "diverged" else row["t_end"]
+    t, block, mode, initial_mode = (_array(row[name]) for name in _EVENT_COLUMNS[:4])
+    names, unit = scene.system.block_names, scene.unit_names.time
+    return sim.EventSeries(t, block, mode, initial_mode, t_start=0.0, t_end=end.as_py(), names=names, unit=unit)
 
 
 def episodes(path: Where | Opened) -> pd.DataFrame:
@@ -298,11 +281,7 @@ def series(path: Source) -> Series:
 def all_events(path: Source) -> Recorded[_Events]:
     """Times, blocks and modes of events, and the modes at t = 0, by member_id; empty if they are not recorded."""
     t, block, mode, initial_mode = names = _EVENT_COLUMNS[:4]
-
-    def entry(row: _Row) -> _Events:
-        return row(t), row(block), row(mode), row(initial_mode)
-
-    return Recorded(path, t, names, entry)
+    return Recorded(path, t, names, lambda row: (row(t), row(block), row(mode), row(initial_mode)))
 
 
 def ends(path: Source) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:
@@ -519,13 +498,6 @@ class _Shard:
             return values[offsets[k] : offsets[k + 1]]
 
         return at
-
-
-def _event_series(row: dict[str, pa.Scalar], names: tuple[str, ...], unit: str) -> sim.EventSeries:
-    # nothing happens any more after a collapse: its series is known to the end
-    end = row["t_stop"] if row["outcome"].as_py() == "diverged" else row["t_end"]
-    t, block, mode, initial_mode = (_array(row[name]) for name in _EVENT_COLUMNS[:4])
-    return sim.EventSeries(t, block, mode, initial_mode, t_start=0.0, t_end=end.as_py(), names=names, unit=unit)
 
 
 def _array(entry: pa.ListScalar) -> np.ndarray:

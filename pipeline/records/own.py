@@ -37,20 +37,12 @@ _KINDS: dict[str, Kind] = {"float": "number", "int": "count", "bool": "yes or no
 
 
 class Own(NamedTuple):
-    """A function, and what it measures.
-
-    Attributes
-    ----------
-    optional : tuple of str
-        Those of the columns that it may leave without a value, by returning None.
-    is_sampled : bool
-        Whether it asks for states.
-    """
+    """A function, and what it measures."""
 
     function: OwnFunction
     columns: tuple[Column, ...]
-    optional: tuple[str, ...]
-    is_sampled: bool
+    optional: tuple[str, ...]  #: those of the columns that it may leave without a value, by returning None
+    is_sampled: bool  #: whether it asks for states
 
     def __repr__(self) -> str:
         return self.function.name

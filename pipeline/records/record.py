@@ -58,31 +58,18 @@ class Member(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """A member that was run, or as a row of a dataset has it: what records are computed from.
+    """A member that was run, or as a row of a dataset has it: what records are computed from."""
 
-    Attributes
-    ----------
-    run : Run
-        Sampled at the times that the records' `times` ask for.
-    start : tuple of two
-        z and w at t = 0, a number or an array of shape (n,).
-    again : callable
-        Runs another member, sampled at some times: `again(member, times)` gives its `Samples`.
-    found : dict of str to object
-        What records before this one computed, by column.
-    stop_early : bool or "always"
-        As in `stickslip.simulate`, for what runs it again: a test for collapse may change the last digits.
-    is_whole : bool
-        Whether all of the run is there; of a row, reading what it does not hold is a `NotKeptError`.
-    """
-
+    #: Whether all of the run is there; of a row, reading what it does not hold is a `NotKeptError`.
     is_whole: ClassVar[bool] = True
     member: Member
     system: System
-    run: Run
-    start: tuple[Any, Any]
+    run: Run  #: sampled at the times that the records' `times` ask for
+    start: tuple[Any, Any]  #: z and w at t = 0, a number or an array of shape (n,)
+    #: Runs another member, sampled at some times: `again(member, times)` gives its `Samples`.
     again: Callable[[Any, tuple[float, ...]], Samples]
-    found: dict[str, Any]
+    found: dict[str, Any]  #: what records before this one computed, by column
+    #: As in `stickslip.simulate`, for what runs it again: a test for collapse may change the last digits.
     stop_early: bool | str
 
     @cached_property
@@ -132,57 +119,32 @@ class Memory(NamedTuple):
 
 @dataclass(frozen=True)
 class Record(ABC):
-    """A thing that is kept of a run.
+    """A thing that is kept of a run."""
 
-    Attributes
-    ----------
-    name : str
-        Its own, and the key under [record], which is true or false.
-    is_step : bool
-        Whether the value of its key is a step of time instead.
-    is_named : bool
-        Whether it is names of functions instead.
-    words, example : str, object
-        Of that key, for schemas and the guide.
-    asked_by : str
-        The line by which a scene asks for it.
-    is_of_paths : bool
-        Whether it is about each run's own path, so that tolerances are picked for paths.
-    needs : frozenset of str
-        What `of` reads: "run" if it reads of the run what no record keeps, such as samples; else the names of the
-        records that keep all that it reads of it, such as "events"; and "system" if it reads the system or the start.
-        `stickslip extend` computes a record that does not need "run" from the rows of a dataset.
-    is_shared : bool
-        Whether most of its cost is computed once for several members.
-    is_certified : bool
-        Whether it needs runs that are tested for collapse whenever all blocks slip.
-    is_of_exact : bool
-        Whether it is of runs of the exact law alone.
-    needs_stills : bool
-        Whether it reads `Run.stills`, which all engines of a scene have to keep then.
-    is_of_contacts : bool
-        Whether it leaves out blocks without friction; how many have some is then kept beside it.
-    of_block : Column, optional
-        That of one block, with {} for its name, if the key may also be names of blocks.
-    takes_load : bool
-        Whether it has a meaning under adiabatic loading, where events take no time of the run.
-    """
-
-    name: ClassVar[str]
-    words: ClassVar[str]
+    name: ClassVar[str]  #: its own, and the key under [record], which is true or false
+    words: ClassVar[str]  #: of that key, for schemas and the guide
     example: ClassVar[object] = True
-    asked_by: ClassVar[str]
+    asked_by: ClassVar[str]  #: the line by which a scene asks for it
     columns: ClassVar[tuple[Column, ...]]
-    is_step: ClassVar[bool] = False
-    is_named: ClassVar[bool] = False
+    is_step: ClassVar[bool] = False  #: whether the value of its key is a step of time instead
+    is_named: ClassVar[bool] = False  #: whether it is names of functions instead
+    #: Whether it is about each run's own path, so that tolerances are picked for paths.
     is_of_paths: ClassVar[bool] = False
-    is_shared: ClassVar[bool] = False
+    is_shared: ClassVar[bool] = False  #: whether most of its cost is computed once for several members
+    #: Whether it needs runs that are tested for collapse whenever all blocks slip.
     is_certified: ClassVar[bool] = False
-    is_of_exact: ClassVar[bool] = False
+    is_of_exact: ClassVar[bool] = False  #: whether it is of runs of the exact law alone
+    #: Whether it reads `Run.stills`, which all engines of a scene have to keep then.
     needs_stills: ClassVar[bool] = False
+    #: Whether it leaves out blocks without friction; how many have some is then kept beside it.
     is_of_contacts: ClassVar[bool] = False
+    #: That of one block, with {} for its name, if the key may also be names of blocks.
     of_block: ClassVar[Column | None] = None
+    #: Whether it has a meaning under adiabatic loading, where events take no time of the run.
     takes_load: ClassVar[bool] = False
+    #: What `of` reads: "run" if it reads of the run what no record keeps, such as samples; else the names of the
+    #: records that keep all that it reads of it, such as "events"; and "system" if it reads the system or the start.
+    #: `stickslip extend` computes a record that does not need "run" from the rows of a dataset.
     needs: ClassVar[frozenset[str]] = frozenset({"run"})
 
     def __init_subclass__(cls) -> None:
@@ -245,15 +207,10 @@ class Record(ABC):
 
 @dataclass(frozen=True)
 class WindowRecord(Record):
-    """A record of what a run does after `t_burn`; its key is true, and [record] has the time.
-
-    Attributes
-    ----------
-    blocks : tuple of (str, int)
-        Names and numbers of blocks, if it is of these, each with a column of its own.
-    """
+    """A record of what a run does after `t_burn`; its key is true, and [record] has the time."""
 
     t_burn: float
+    #: Names and numbers of blocks, if it is of these, each with a column of its own.
     blocks: tuple[tuple[str, int], ...] = field(default=(), kw_only=True)
 
     @classmethod

@@ -92,19 +92,11 @@ class KeptRows:
 
 @dataclass(frozen=True)
 class Kept:
-    """Rows of some members of a batch.
-
-    Attributes
-    ----------
-    places : tuple of int
-        Those of the members in the batch, one a row.
-    records : tuple of Record
-        What the dataset of the rows keeps.
-    """
+    """Rows of some members of a batch."""
 
     table: pa.Table
-    places: tuple[int, ...]
-    records: tuple[Record, ...]
+    places: tuple[int, ...]  #: those of the members in the batch, one a row
+    records: tuple[Record, ...]  #: what the dataset of the rows keeps
 
     def left(self, members: Sequence[Member], recording: Recording) -> list[Member]:
         """The members that are run."""

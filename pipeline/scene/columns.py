@@ -23,21 +23,11 @@ from stickslip.sim.systems.terms import TERMS, Term
 
 
 class Part(NamedTuple):
-    """A part of a dataset that depends on its scene: columns, and which others may be null then.
+    """A part of a dataset that depends on its scene: columns, and which others may be null then."""
 
-    Attributes
-    ----------
-    asked_by : str
-        The line of a scene that asks for it.
-    columns : tuple of Column
-        Its own.
-    nulls : tuple of str
-        Columns of every dataset that may be null with it.
-    """
-
-    asked_by: str
-    columns: tuple[Column, ...] = ()
-    nulls: tuple[str, ...] = ()
+    asked_by: str  #: the line of a scene that asks for it
+    columns: tuple[Column, ...] = ()  #: its own
+    nulls: tuple[str, ...] = ()  #: columns of every dataset that may be null with it
 
 
 def _column(term: Term, nullable: bool = True) -> Column:
@@ -185,28 +175,15 @@ COLUMNS = (*FIXED, *(column for _, columns in ON_DEMAND.values() for column in c
 
 @dataclass(frozen=True)
 class Recording:
-    """What a scene keeps of its members.
-
-    Attributes
-    ----------
-    parts : tuple of str
-        Of `PARTS`.
-    parameters : tuple of str
-        Of a function, each a column.
-    units : Units
-        Those of the scene.
-    scales : Scales, optional
-        What one dimensionless unit is in these; None: all is dimensionless.
-    meaning : tuple of (str, str)
-        What the numbers mean, in words by key: see `stickslip.pipeline.scene.meaning`.
-    """
+    """What a scene keeps of its members."""
 
     scene_hash: str
-    parts: tuple[str, ...] = ()
+    parts: tuple[str, ...] = ()  #: of `PARTS`
     records: tuple[Record, ...] = ()
-    parameters: tuple[str, ...] = ()
-    units: Units = DIMENSIONLESS
-    scales: Scales | None = None
+    parameters: tuple[str, ...] = ()  #: of a function, each a column
+    units: Units = DIMENSIONLESS  #: those of the scene
+    scales: Scales | None = None  #: what one dimensionless unit is in these; None: all is dimensionless
+    #: What the numbers mean, in words by key: see `stickslip.pipeline.scene.meaning`.
     meaning: tuple[tuple[str, str], ...] = ()
 
     def scale(self, column: Column) -> float:
@@ -259,7 +236,7 @@ def misnamed(
 ) -> tuple[str, str] | None:
     """The first name that no column of a scene's own can have, and why; None: all are good.
 
-    `others` are parameters beside them, and `twin` is what has a name that comes twice.
+    `parameters` are those beside them, and `twin` is what has a name that comes twice.
     """
     owners = TAKEN | {name.lower(): "a parameter of the function" for name in parameters}
     for name in names:

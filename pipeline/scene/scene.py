@@ -44,7 +44,6 @@ from stickslip.pipeline.records.record import Facts, Record, WindowRecord
 from stickslip.pipeline.scene.columns import OF_GRAPHS, OF_SETTINGS, PARTS, Recording, misnamed
 from stickslip.pipeline.scene.ends import Ends, look_at_dataset, place_beside
 from stickslip.pipeline.scene.engine_table import Engines, EngineTable
-from stickslip.pipeline.scene.friction_table import read_friction_table
 from stickslip.pipeline.scene.grid import axes, points
 from stickslip.pipeline.scene.meaning import meaning
 from stickslip.pipeline.scene.source import parse_toml, read_source
@@ -59,6 +58,7 @@ from stickslip.pipeline.scene.systems import (
     look_at_files,
     look_at_series,
     read,
+    read_friction_table,
     tried_function,
 )
 from stickslip.pipeline.scene.tables import AnalysisTable, PerturbationTable, RecordTable, RunTable, Start, TwinsTable
@@ -374,6 +374,7 @@ class Scene(StrictTable):
             if isinstance(value, Distribution) or (isinstance(value, Course) and len(set(value.values)) > 1)
         ]
         forces = [force.model_dump(exclude_none=True) for force in system.forces] if any(map(size, pushes)) else None
+        optional_terms = [term.name for term in TERMS if term.is_argument and term.default is None]
         demands = (
             ("force", forces and (forces if isinstance(system.force, tuple) else forces[0]), "none"),
             ("belt_speed", belts[0] if belts else None, "one number for all blocks and times"),
@@ -381,7 +382,7 @@ class Scene(StrictTable):
             ("drive", system.drive, "none"),
             ("weakening", system.weakening, "none"),
             ("back_slip", None if system.back_slip else "false", "true"),
-            *((term.name, quantities[term.name], "none") for term in TERMS if term.argument and term.default is None),
+            *((name, quantities[name], "none") for name in optional_terms),
         )
         if self.run.load is not None:
             self._check_load(demands)
@@ -706,36 +707,40 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def _merged(tables: Mapping[str, Any], facts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    return {**tables, **{table: {**tables[table], **facts_of_table} for table, facts_of_table in facts.items()}}
+    merged = {table: {**tables[table], **facts_of_table} for table, facts_of_table in facts.items() if facts_of_table}
+    return {**tables, **merged}
 
 
 def _look(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, dict[str, Any]]:
     """What a scene keeps of the files and datasets that it names, by table and key."""
+    start, record, system, run = (_table(tables, key) for key in ("start", "record", "system", "run"))
+    law = _table(system, "weakening")
+    units: Any = tables.get("units")
     facts: dict[str, dict[str, Any]] = {}
-    start, record = tables.get("start"), tables.get("record")
-    if isinstance(record, dict) and "functions" not in record and (names := named_functions(record.get("own"))):
+    if "functions" not in record and (names := named_functions(record.get("own"))):
         facts["record"] = {"functions": look_at_functions(names, folder)}
-    if isinstance(start, dict) and isinstance(start.get("dataset"), str) and "ends" not in start:
+    if isinstance(start.get("dataset"), str) and "ends" not in start:
         facts["start"] = {"ends": {"sha256": look_at_dataset(start["dataset"], folder)}}
-    units = tables.get("units")
-    has_units = isinstance(units, dict) and "scales" not in units
-    if has_units:
+    is_unscaled = isinstance(units, dict) and "scales" not in units
+    if is_unscaled:
         facts["units"] = {"scales": UNSCALED}
-    system = tables.get("system")
-    law = system.get("weakening") if isinstance(system, dict) else None
-    if isinstance(law, dict) and isinstance(law.get("table"), str) and not law.keys() & {"speeds", "coefficients"}:
-        facts["system"] = {"weakening": law | read_friction_table(law["table"], folder)}
-    if isinstance(system, dict):
-        run = tables.get("run")
-        t_end = run.get("t_end") if isinstance(run, dict) else None
-        facts["system"] = facts.get("system", {}) | _look_at_series(system, folder, t_end)
+    of_system = facts["system"] = dict[str, Any]()
+    if isinstance(law.get("table"), str) and not law.keys() & {"speeds", "coefficients"}:
+        of_system["weakening"] = law | read_friction_table(law["table"], folder)
+    of_system |= _look_at_series(system, folder, run.get("t_end"))
     # a function is tried in a scene, which has its ends then
-    facts["system"] = facts.get("system", {}) | _look_at_systems(_merged(tables, facts), folder, name)
-    if isinstance(units, dict) and has_units:
+    of_system |= _look_at_systems(_merged(tables, facts), folder, name)
+    if is_unscaled:
         facts["units"] = {"scales": _scales_of(as_scene(Scene, _merged(tables, facts), name), units, folder)}
-    if not isinstance(units, dict) and "module" in facts["system"]:
-        del facts["system"]["module"]["means"]
+    if not isinstance(units, dict) and "module" in of_system:
+        del of_system["module"]["means"]
     return {table: facts_of_table for table, facts_of_table in facts.items() if facts_of_table}
+
+
+def _table(tables: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """The table at a key; empty if none is there, or something else, which is refused later."""
+    table = tables.get(key)
+    return table if isinstance(table, dict) else {}
 
 
 def _scales_of(scene: Scene, table: Mapping[str, Any], folder: Path) -> dict[str, float]:
@@ -781,15 +786,15 @@ def _look_at_series(system: Mapping[str, Any], folder: Path, t_end: object) -> d
         return look_at_series(f"system.{key}", table, folder, t_end) if is_new else table
 
     keys = {key: seen(key, system[key]) for key in ("belt_speed", "force") if key in system}
-    drive = system.get("drive")
-    if isinstance(drive, dict) and "speed" in drive:
+    drive = _table(system, "drive")
+    if "speed" in drive:
         keys["drive"] = drive | {"speed": seen("drive.speed", drive["speed"])}
     return {key: table for key, table in keys.items() if table != system[key]}
 
 
 def _look_at_systems(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, Any]:
-    system = tables.get("system")
-    if not isinstance(system, dict) or "files" in system or "module" in system:
+    system = _table(tables, "system")
+    if "files" in system or "module" in system:
         return {}
     coupling, path = system.get("coupling"), system.get("path")
     if coupling in OF_FILES and is_path(path):

@@ -118,7 +118,7 @@ def _with_terms(table: str, behind: type[StrictTable] = StrictTable) -> Any:
 def _kind(term: Term) -> Any:
     """What may be written for a term."""
     kind = Annotated[Quantity, Key(term.draws, term.least, (), term.is_above, term.in_time, term.ratio_of)]
-    return kind if term.argument and term.default is not None else kind | None
+    return kind if term.is_argument and term.default is not None else kind | None
 
 
 class ForceTable(_with_terms("force")):  # type: ignore[misc]

@@ -40,15 +40,16 @@ from stickslip.sim.systems.terms import OF_BLOCKS
 #: What a file may hold in addition to `stiffness`, each with a number a block.
 BY_BLOCK = (*OF_BLOCKS, "z0", "w0")
 
-
 #: What may come from a file each.
 _PARTS = {"stiffness", *BY_BLOCK}
 
 #: Entries of directories at most that are looked at for a pattern.
 _MAX_ENTRIES = 100_000
 
-#: What errors call the file, and the function.
-_PATH, KEY = "system.path", "system.coupling"
+#: What errors call the file, a table of friction, and the function.
+_PATH, _TABLE, KEY = "system.path", "system.weakening.table", "system.coupling"
+#: Bytes of a table of friction at most.
+_MOST_OF_TABLE = 100_000
 
 
 class OtherFile(NamedTuple):
@@ -264,6 +265,20 @@ def read_series(key: str, name: str, content: bytes, columns: Sequence[str | int
         return series_of(content, columns)
 
 
+def read_friction_table(name: str, folder: Path) -> dict[str, list[float]]:
+    """The columns of a file beside a scene, of `speeds` of slip and `coefficients` of friction.
+
+    Raises `SceneError` if the file cannot be read, or does not hold two columns of numbers.
+    """
+    content = content_of(folder / name, _TABLE)
+    if len(content) > _MOST_OF_TABLE:
+        raise SceneError(
+            f"{_TABLE}: expected at most {_MOST_OF_TABLE} bytes in {name}, got {len(content)}; leave out values"
+        )
+    speeds, coefficients = read_series(_TABLE, name, content)
+    return {"speeds": speeds.tolist(), "coefficients": coefficients.tolist()}
+
+
 def _line(error: Exception) -> str:
     """The message of an error, in a line."""
     why = printable(" ".join(str(error).split())) or type(error).__name__
@@ -449,14 +464,13 @@ def _attempt(function: OwnFunction, n: int, parameters: Mapping[str, float]) -> 
         "is_sparse": not isinstance(stiffness, np.ndarray),
         "entries_by_block": stiffness.size / n,
         **({NAMES: [*system.names]} if system.names else {}),
-        "means": means_of(system),
+        # what `Scales.of` takes of it
+        "means": {
+            "mass": float(system.mass.mean()),
+            "stiffness": float(np.mean(stiffness.diagonal())),
+            "friction": float(system.friction.mean()),
+        },
     }
-
-
-def means_of(system: System) -> dict[str, float]:
-    """What `Scales.of` takes of a system."""
-    diagonal = float(np.mean(system.stiffness.diagonal()))
-    return {"mass": float(system.mass.mean()), "stiffness": diagonal, "friction": float(system.friction.mean())}
 
 
 def _parts(system: System) -> list[Any]:

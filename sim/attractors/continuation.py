@@ -222,21 +222,14 @@ def end_of_motion(
 
 @dataclass
 class Trace:
-    """A motion that is followed from one system, at 0, towards another, at 1.
-
-    Attributes
-    ----------
-    last, low : Settled, float
-        What was followed last, and where.
-    cycles : list of (float, Settled)
-        The cycles among what was followed, each of which attracts, with their places.
-    """
+    """A motion that is followed from one system, at 0, towards another, at 1."""
 
     system_at: Callable[[float], System]
     width: float
     settings: dict[str, Any]
-    last: Settled
-    low: float = 0.0
+    last: Settled  #: what was followed last
+    low: float = 0.0  #: and where
+    #: The cycles among what was followed, each of which attracts, with their places.
     cycles: list[tuple[float, Settled]] = field(default_factory=list)
 
     def __post_init__(self) -> None:

@@ -54,20 +54,11 @@ class Follow(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Steps from edge to edge, over which friction that falls with speed is resolved.
+    """Steps from edge to edge, over which friction that falls with speed is resolved."""
 
-    Attributes
-    ----------
-    segment : int, shape (q,)
-        The edge before each.
-    length : float64, shape (q,)
-    t : float64, shape (q, 5)
-        Their nodes.
-    """
-
-    segment: NDArray[np.intp]
-    length: Floats
-    t: Floats
+    segment: NDArray[np.intp]  #: the edge before each, shape (q,)
+    length: Floats  #: shape (q,)
+    t: Floats  #: their nodes, shape (q, 5)
 
     @classmethod
     def of(cls, system: System, edges: Floats, modes: NDArray[np.int8]) -> Steps:
@@ -87,31 +78,15 @@ class Steps:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A run between some of its events, with the states there.
+    """A run between some of its events, with the states there."""
 
-    Attributes
-    ----------
-    system : System
-        Of unit masses.
-    modes : int8, shape (m + 1, n)
-        Before the first edge, and from each but the last to the next.
-    states, middle : Samples
-        At the m + 1 edges, and half way between them.
-    block : int, shape (m,)
-        Of the event at each edge but the last; empty: there are none.
-    steps : Steps or None
-        Between them, where friction falls with speed.
-    slip : float64, shape (q, 5, n)
-        w - v at the nodes of the steps.
-    """
-
-    system: System
-    modes: NDArray[np.int8]
-    states: Samples
-    middle: Samples
-    block: NDArray[np.int32]
-    steps: Steps | None
-    slip: Floats
+    system: System  #: of unit masses
+    modes: NDArray[np.int8]  #: before the first edge, and from each but the last to the next, shape (m + 1, n)
+    states: Samples  #: at the m + 1 edges
+    middle: Samples  #: and half way between them
+    block: NDArray[np.int32]  #: of the event at each edge but the last, shape (m,); empty: there are none
+    steps: Steps | None  #: between them, where friction falls with speed
+    slip: Floats  #: w - v at the nodes of the steps, shape (q, 5, n)
 
     @classmethod
     def of(cls, system: System, events: EventSeries, edges: Floats, follow: Callable[[Floats], Samples]) -> Path:

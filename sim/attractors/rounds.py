@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.runs.series import EventSeries
+from stickslip.sim.runs.series import EventSeries, part_of
 
 #: Rounds of events that are tried as a cycle, the shortest first.
 _TRIED = 8
@@ -61,9 +60,9 @@ def symbols_of(events: EventSeries) -> NDArray[np.int64]:
 
 def in_order(events: EventSeries, first: int, together: float) -> EventSeries:
     """The events from some event on, those of one instant by block: their order is otherwise one of rounding."""
-    t, block, mode = events.t[first:], events.block[first:], events.mode[first:]
-    if (np.diff(t) <= together).any():
-        instant = np.cumsum(np.append(0, np.diff(t) > together))
-        order = np.lexsort((block, instant))
-        t, block, mode = t[order], block[order], mode[order]
-    return replace(events, t=t, block=block, mode=mode, initial_mode=events.mode_after(first))
+    later = part_of(events, slice(first, None), initial_mode=events.mode_after(first))
+    gaps = np.diff(later.t)
+    if not (gaps <= together).any():
+        return later
+    instant = np.cumsum(np.append(0, gaps > together))
+    return part_of(later, np.lexsort((later.block, instant)))

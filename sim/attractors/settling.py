@@ -26,7 +26,7 @@ from stickslip.sim.engines.certificates import steady_sliding
 from stickslip.sim.numerics.arguments import Floats, apart, number
 from stickslip.sim.numerics.session import numpy_arithmetic
 from stickslip.sim.runs.run import Run, Samples
-from stickslip.sim.runs.series import EventSeries, by_block
+from stickslip.sim.runs.series import EventSeries, by_block, part_of
 from stickslip.sim.simulation import as_engine, simulate
 from stickslip.sim.systems.drive import Harmonic, Piecewise
 from stickslip.sim.systems.system import System
@@ -303,8 +303,7 @@ class _End:
         expected = np.maximum.accumulate(np.maximum(expected, self._start))
         length = float(expected[-1]) - self._start + _TOGETHER * self._back * (self._fastest + cycle.period)
         once = np.append(np.arange(-p, 0), -p)
-        foreseen = replace(last, t=expected, block=last.block[once], mode=last.mode[once],
-                           initial_mode=self._mode, t_start=self._start)  # fmt: skip
+        foreseen = part_of(last, once, t=expected, initial_mode=self._mode, t_start=self._start)
         followed: list[Run] = []
 
         def follow(times: Floats) -> Samples:
@@ -319,7 +318,7 @@ class _End:
         # as in the round before, so that the first event comes first again
         order = np.append(np.empty(p, dtype=np.intp), p + again[0])
         order[by_block(last.block[-p:])] = by_block(events.block[:p])
-        events = replace(events, t=events.t[order], block=events.block[order], mode=events.mode[order])
+        events = part_of(events, order)
         if (symbols_of(events)[:p] != symbols).any():
             return None
         if not (np.abs(events.t - expected) <= min(_OF_CLOSE * self._close, _MOST_OFF) * self._fastest).all():
@@ -427,8 +426,7 @@ class _End:
         t = events.t[k]
         state = self._follow(float(t), np.array([t])).samples
         once = slice(k, int(places[p]) + 1)
-        round_ = replace(events, t=events.t[once] - t, block=events.block[once], mode=events.mode[once],
-                         initial_mode=events.mode_after(k))  # fmt: skip
+        round_ = part_of(events, once, t=events.t[once] - t, initial_mode=events.mode_after(k))
         newton = Newton(
             s, self._run_from, partial(in_order, first=0, together=self._at_once), self._size, self._close, far,
             is_counted,
@@ -549,16 +547,14 @@ def _off(path: Path, k: int, drift: Floats) -> float:
 def _from_lowest(path: Path, events: EventSeries, period: float, drift: Floats) -> tuple[EventSeries, Samples]:
     """The events of a cycle and the states there, from the place that `Attractor.section` names."""
     p = len(path.states) - 1
-    t, block, mode = events.t[:p], events.block[:p], events.mode[:p]
-    symbols = symbols_of(events)[:p]
+    t, block, symbols = events.t[:p], events.block[:p], symbols_of(events)[:p]
     places = np.flatnonzero(symbols == symbols.min()).tolist()
     twice = [*symbols.tolist(), *symbols.tolist()]
     lowest = min(places, key=lambda k: (twice[k : k + p], path.states.z[k, block[k]]))
     turn = (np.arange(p) + lowest) % p
     is_later = turn < lowest
     since = np.maximum.accumulate(t[turn] - t[lowest] + is_later * period)
-    cycle = replace(events, t=since, block=block[turn], mode=mode[turn],
-                    initial_mode=path.modes[lowest], t_start=0.0, t_end=period)  # fmt: skip
+    cycle = part_of(events, turn, t=since, initial_mode=path.modes[lowest], t_start=0.0, t_end=period)
     return cycle, Samples(since, path.states.z[turn] + np.outer(is_later, drift), path.states.w[turn])
 
 

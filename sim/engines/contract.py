@@ -63,32 +63,17 @@ class Task(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Setting(ABC):
-    """A setting of an engine beside its name and default.
+    """A setting of an engine beside its name and default."""
 
-    Attributes
-    ----------
-    words : str
-        What it is, in a scene's keys.
-    column : str
-        What it is, in a dataset's columns; default: the words and the engines that have it.
-    example : object
-        For scenes; default: the setting's own default.
-    in_id : str or None
-        The prefix of its value in a member's id; None: the id leaves it out.
-    in_label : str
-        When the label of a report's group has it: "always", "unless default", or "if it differs" between groups.
-    only_with : (str, str) or None
-        Another setting and the value of it that this one needs to have a meaning.
-    in_all : bool
-        Whether every dataset has its column, also one without such an engine; a setting that is added later has none.
-    """
-
-    words: str
-    column: str = ""
-    example: Any = None
-    in_id: str | None = None
+    words: str  #: what it is, in a scene's keys
+    column: str = ""  #: what it is, in a dataset's columns; default: the words and the engines that have it
+    example: Any = None  #: for scenes; default: the setting's own default
+    in_id: str | None = None  #: the prefix of its value in a member's id; None: the id leaves it out
+    #: When the label of a report's group has it: "always", "unless default", or "if it differs" between groups.
     in_label: Literal["always", "unless default", "if it differs"] = "if it differs"
+    #: Another setting and the value of it that this one needs to have a meaning.
     only_with: tuple[str, str] | None = None
+    #: Whether every dataset has its column, also one without such an engine; a setting that is added later has none.
     in_all: bool = False
 
     @abstractmethod
@@ -107,20 +92,13 @@ class Coarseness(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Number(Setting):
-    """A number in the open interval (above, below).
-
-    Attributes
-    ----------
-    picked : mapping of str to float
-        Its value where only the purpose of a run is given; a tolerance has one for each purpose.
-    coarseness : Coarseness or None
-        What it makes coarse; None: nothing.
-    """
+    """A number in the open interval (above, below)."""
 
     above: float = -math.inf
     below: float = math.inf
+    #: Its value where only the purpose of a run is given; a tolerance has one for each purpose.
     picked: Mapping[Purpose, float] = field(default_factory=dict)
-    coarseness: Coarseness | None = None
+    coarseness: Coarseness | None = None  #: what it makes coarse; None: nothing
 
     def checked(self, name: str, value: Any) -> float:
         return number(name, value, self.above, self.below)
@@ -182,40 +160,24 @@ class Engine(ABC):
 
     A subclass is a frozen dataclass whose fields are made by `setting`. From them follow what `simulate` takes, the
     tables and keys of scenes, the columns of datasets, the ids of members and the labels of groups.
-
-    Attributes
-    ----------
-    name : str
-        As in ``engine="..."``.
-    title : str
-        On pages of a report; default: its name.
-    about : str
-        One line for scenes, and for pages that name it.
-    kernels : str
-        The package of its compiled kernels, which the module `integrate` there loads; "" if it has none.
-    sizes : tuple of int
-        Numbers of blocks for each of which other kernels may be needed.
-    is_exact : bool
-        Whether it keeps the exact, set-valued friction law and locates every event of it. Records of the exact law
-        are of such runs alone, other engines are compared with them, and they take `Task.modes`.
-    locates_events : bool
-        Whether events have times of their own. Where they have those of steps, slip onsets and arrests of one step
-        cancel in n_stick, and neither the rate of slip onsets nor cascades can be read off that.
-    keeps_stills : bool
-        Whether its runs have `Run.stills`, from which the moments of episodes are.
-    takes : frozenset of str
-        What it runs beyond eq. (10), by the names in `stickslip.sim.systems.system.BEYOND`; systems with anything
-        else there are refused. Masses are divided out before.
     """
 
-    name: ClassVar[str]
-    title: ClassVar[str]
-    about: ClassVar[str]
+    name: ClassVar[str]  #: as in ``engine="..."``
+    title: ClassVar[str]  #: on pages of a report; default: its name
+    about: ClassVar[str]  #: one line for scenes, and for pages that name it
+    #: The package of its compiled kernels, which the module `integrate` there loads; "" if it has none.
     kernels: ClassVar[str] = ""
-    sizes: ClassVar[tuple[int, ...]] = (SMALL,)
+    sizes: ClassVar[tuple[int, ...]] = (SMALL,)  #: numbers of blocks for each of which other kernels may be needed
+    #: Whether it keeps the exact, set-valued friction law and locates every event of it. Records of the exact law are
+    #: of such runs alone, other engines are compared with them, and they take `Task.modes`.
     is_exact: ClassVar[bool] = False
+    #: Whether events have times of their own. Where they have those of steps, slip onsets and arrests of one step
+    #: cancel in n_stick, and neither the rate of slip onsets nor cascades can be read off that.
     locates_events: ClassVar[bool] = True
+    #: Whether its runs have `Run.stills`, from which the moments of episodes are.
     keeps_stills: ClassVar[bool] = False
+    #: What it runs beyond eq. (10), by the names in `stickslip.sim.systems.system.BEYOND`; systems with anything else
+    #: there are refused. Masses are divided out before.
     takes: ClassVar[frozenset[str]] = frozenset()
 
     def __init_subclass__(cls) -> None:

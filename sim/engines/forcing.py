@@ -147,24 +147,15 @@ def value_at(forcing: Forcing, s: float, values: Floats) -> None:
 
 
 class Drive:
-    """External forces and belts of a run: its pieces, and what kernels read and change of the present one.
+    """External forces and belts of a run: its pieces, and what kernels read and change of the present one."""
 
-    Attributes
-    ----------
-    belt_speed : float64, shape (n,)
-        v of the present piece; changed in place, as `forcing` is.
-    forcing : Forcing
-        None acts if there is no external force, and no belt changes its speed; see `is_forced`.
-    is_last : bool
-        Whether no piece follows on those that are ahead of the kernel: the last is ahead alone.
-    instant : float
-        The rounding of the end, if the last piece has no length but is not the first: its events depend on what comes
-        after. Else -1.
-    fastest : float
-        The largest frequency of a force.
-    """
-
-    forcing, fastest, instant = Forcing.none(), 0.0, -1.0
+    belt_speed: Floats  #: v of the present piece, shape (n,); changed in place, as `forcing` is
+    forcing = Forcing.none()  #: none acts if no force does, and no belt changes its speed; see `is_forced`
+    is_last: bool  #: whether no piece follows on those that are ahead of the kernel: the last is ahead alone
+    #: The rounding of the end, if the last piece has no length but is not the first: its events depend on what comes
+    #: after. Else -1.
+    instant = -1.0
+    fastest = 0.0  #: the largest frequency of a force
 
     def __init__(self, task: Task, orders: int) -> None:
         system, t_start = task.system, task.t_start

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from stickslip.sim.engines import course
-from stickslip.sim.engines.course import Events, State
+from stickslip.sim.engines.course import Events
 from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.engines.stacks import Model, Stack, Work, note_slice, rest_of, run_of
 from stickslip.sim.kernels.compile import inner
@@ -38,27 +38,27 @@ Window = TypeVar("Window")
 
 
 @inner
-def _nothing(model: Any, work: Any, state: State) -> None:
+def _nothing(run: Any) -> None:
     """What there is to do where each window begins anew."""
 
 
 class Way(NamedTuple, Generic[Model, Work, Aim, Window]):
     """A way to follow a motion: functions that kernels call.
 
-    All but the first take what is constant, workspace, what the run is taken to, its state, and a window.
+    All but the first take the run: what is constant, workspace, what it is taken to, and its state.
     """
 
     blank: Callable[[], Window]  #: no window
-    open: Callable[[Model, Work, Aim, State, Window, float], Window]
+    open: Callable[[Stack[Model, Work, Aim, int], Window, float], Window]
     """The same window, or, if it is over, the next one; the time that remains is given."""
-    note: Callable[[Model, Work, Aim, State, Events, int], tuple[int, bool]]
+    note: Callable[[Stack[Model, Work, Aim, int], Events, int], tuple[int, bool]]
     """Record the modes that have changed, behind so many events; the number, and whether all are the same."""
-    at: Callable[[Model, Work, Aim, State, Window, float], None]
+    at: Callable[[Stack[Model, Work, Aim, int], Window, float], None]
     """Keep the samples at a time, where a run of no length ends."""
-    carry: Callable[[Model, Work, Aim, State, Window, bool, Precheck, Events, int], tuple[Window, int, bool]]
+    carry: Callable[[Stack[Model, Work, Aim, int], Window, bool, Precheck, Events, int], tuple[Window, int, bool]]
     """``(..., is_after_event, precheck, events, n_recorded)``: go on to the next event, or to the end of the window,
     with the samples on the way. Returns the window, how many events are recorded, and if there is no progress."""
-    enter: Callable[[Model, Work, State], None] = _nothing
+    enter: Callable[[Stack[Model, Work, Aim, int]], None] = _nothing
     """Begin a piece, whose numbers are there, as is the state in its frame."""
 
 
@@ -76,19 +76,19 @@ def frame(
     def take(
         run: Stack[Model, Work, Aim, int], events: Events, precheck: Precheck, n_recorded: int, n_last: int
     ) -> tuple[int, int]:
-        model, work, goal, state = run.model, run.work, run.goal, run.state
-        clock, counters, window = state.clock, state.counters, blank()
+        goal, state, window = run.goal, run.state, blank()
+        clock, counters = state.clock, state.counters
         while course.n_tried(counters) < n_last:
             remaining = goal.t_end - clock[course.TIME]
             if remaining <= 0.0 and not goal.is_last:
                 return course.DONE, n_recorded  # the next piece decides which blocks stick from here on
             if n_recorded + run.events_a_step > len(events.t):
                 return course.BUFFER_FULL, n_recorded
-            window = open_next(model, work, goal, state, window, remaining)
+            window = open_next(run, window, remaining)
             before = n_recorded
-            n_recorded, same = note(model, work, goal, state, events, n_recorded)
+            n_recorded, same = note(run, events, n_recorded)
             if remaining <= 0.0:
-                at(model, work, goal, state, window, clock[course.TIME])
+                at(run, window, clock[course.TIME])
                 return course.DONE, n_recorded
             if same and course.is_check_due(state, state.mode, precheck, remaining):
                 if course.may_collapse(state, run.slip, precheck):
@@ -99,9 +99,7 @@ def frame(
                 n_last, window = course.n_tried(counters) + course.STEPS_A_SLICE, blank()
                 continue
             n_rejected = counters[course.N_REJECTED]
-            window, n_recorded, stalls = carry(
-                model, work, goal, state, window, n_recorded > before, precheck, events, n_recorded
-            )
+            window, n_recorded, stalls = carry(run, window, n_recorded > before, precheck, events, n_recorded)
             if stalls:
                 return course.STALLED, n_recorded
             if goal.instant >= 0.0 and counters[course.N_REJECTED] == n_rejected:  # a rejected step is taken again
@@ -123,7 +121,7 @@ def frame(
                 pieces, state = run.model.forcing.pieces, run.state
                 if pieces.n_ahead[0] > 0 and state.clock[course.TIME] >= lengths[k]:
                     lengths[k] = course.enter(run.model.forcing, state, lengths[k])
-                    enter(run.model, run.work, state)
+                    enter(run)
                     run = by_reference(run_of(stack, k))
                 n_before, n_stuck = n_recorded, counters[course.N_ALL_STUCK]
                 status, n_recorded = take(run, buffers, by_reference(precheck), n_recorded, n_last)

@@ -140,43 +140,23 @@ def runs(
 
 
 class Several(ABC):
-    """The runs of some tasks as a stack: one, or plain ones of one kind.
-
-    Attributes
-    ----------
-    tasks : sequence of Task
-    drives : sequence of Drive
-    collapse : sequence of Collapse
-    models, work, states
-        As of `Stack`.
-    lengths : float64, shape (runs,)
-        Of the present pieces.
-    kernel : callable
-        Advances some runs of a `Stack`, as `frame` does.
-    bounds : float64, shape (runs,)
-        Of |z| and |w|; beyond them a slice ends.
-    initial_modes : int8, shape (runs, definitions of sticking, n)
-    stalled, events_a_step, tells_touches, method
-        As of `course.Plan`.
-    is_of_one_type : bool
-        Whether all arrays have the types that they have for any plain system.
-    """
+    """The runs of some tasks as a stack: one, or plain ones of one kind."""
 
     tasks: Sequence[Task]
     drives: Sequence[Drive]
     collapse: Sequence[certificates.Collapse]
-    models: Any
-    work: Any
+    models: Any  #: as of `Stack`
+    work: Any  #: as of `Stack`
     states: State
-    lengths: Floats
-    kernel: Callable[..., None]
-    bounds: Floats
-    stalled: str
-    initial_modes: NDArray[np.int8]
-    events_a_step: int
+    lengths: Floats  #: of the present pieces, shape (runs,)
+    kernel: Callable[..., None]  #: advances some runs of a `Stack`, as `frame` does
+    bounds: Floats  #: of |z| and |w|; beyond them a slice ends, shape (runs,)
+    stalled: str  #: as of `course.Plan`
+    initial_modes: NDArray[np.int8]  #: shape (runs, definitions of sticking, n)
+    events_a_step: int  #: this, and the next two, as of `course.Plan`
     tells_touches: bool = False
     method: str = ""
-    is_of_one_type: bool = False
+    is_of_one_type: bool = False  #: whether all arrays have the types that they have for any plain system
 
     @cached_property
     def _slips(self) -> NDArray[np.int64]:

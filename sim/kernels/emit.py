@@ -184,15 +184,9 @@ class Cell:
 
 
 class ByName:
-    """A table: an array whose rows have names.
+    """A table: an `array`, shape (..., rows, columns), whose rows have names."""
 
-    Attributes
-    ----------
-    places : mapping of name to (first row, number of rows)
-        0 rows: one, a vector.
-    array : ndarray, shape (..., rows, columns)
-    """
-
+    #: The first row of each name, and the number of its rows; 0: one, a vector.
     places: ClassVar[dict[str, tuple[int, int]]]
 
     def __init__(self, array: NDArray[Any]) -> None:

@@ -160,16 +160,8 @@ class EventSeries:
         if chosen.all():
             return self
         events, number = chosen[self.block], np.cumsum(chosen, dtype=np.int32) - 1
-        return EventSeries(
-            self.t[events],
-            number[self.block[events]],
-            self.mode[events],
-            self.initial_mode[chosen],
-            self.t_start,
-            self.t_end,
-            tuple(compress(self.names, chosen)),
-            self.unit,
-        )
+        block, names = number[self.block[events]], tuple(compress(self.names, chosen))
+        return part_of(self, events, block=block, initial_mode=self.initial_mode[chosen], names=names)
 
     def plot(self, kind: str = "space_time", ax: Axes | None = None, **options: Any) -> Axes:
         """Draw "space_time", "n_stick" or the "spectrum" of n_stick; arguments and errors as of `Run.plot`."""
@@ -183,6 +175,12 @@ class EventSeries:
         return show.table(
             f"events of {self.n} blocks on [{self.t_start:g}, {self.t_end:g}]", {"events": len(self)} | counts
         )
+
+
+def part_of(series: EventSeries, which: NDArray[Any] | slice, **changes: Any) -> EventSeries:
+    """The series of some of the events, in the order that `which` gives them; with changes of other fields."""
+    events = {name: getattr(series, name)[which] for name in ("t", "block", "mode")}
+    return replace(series, **events | changes)
 
 
 def by_block(block: NDArray[np.int32]) -> NDArray[np.intp]:
@@ -276,6 +274,6 @@ def without_returns(series: EventSeries, piece: NDArray[np.intp], s: Floats, sho
             if is_kept[first]:  # not itself the second of a pair
                 is_kept[first : first + 2] = False
         is_kept = np.isin(np.arange(len(s)), order[is_kept])
-        series = replace(series, t=series.t[is_kept], block=series.block[is_kept], mode=series.mode[is_kept])
+        series = part_of(series, is_kept)
         piece, s, shortest = piece[is_kept], s[is_kept], shortest[is_kept]
     return series

@@ -58,27 +58,15 @@ READINGS: tuple[Reading, ...] = get_args(Reading)
 
 @dataclass(frozen=True, kw_only=True)
 class Coupling:
-    """How an ensemble makes K.
+    """How an ensemble makes K."""
 
-    Attributes
-    ----------
-    rule : function
-        From U, shape (n, width), uniform in [-kappa, kappa], to K, dense or sparse. For the readings "scale" and
-        "damping matrix" it is linear in U off the diagonal.
-    words : str
-        The rule in symbols, for those who have the data alone.
-    width : int or None
-        Random numbers for each block; None: n.
-    readings : tuple of str
-        Those of `READINGS` that keep the structure of K.
-    relative : function
-        From K and U, uniform in [-1, 1], to the change of K by a factor 1 + U_ij on each free constant.
-    """
-
+    #: From U, shape (n, width), uniform in [-kappa, kappa], to K, dense or sparse. For the readings "scale" and
+    #: "damping matrix" it is linear in U off the diagonal.
     rule: Callable[[Floats], Floats | scipy.sparse.sparray]
-    words: str = ""
-    width: int | None = None
-    readings: tuple[Reading, ...] = READINGS
+    words: str = ""  #: the rule in symbols, for those who have the data alone
+    width: int | None = None  #: random numbers for each block; None: n
+    readings: tuple[Reading, ...] = READINGS  #: those of `READINGS` that keep the structure of K
+    #: From K and U, uniform in [-1, 1], to the change of K by a factor 1 + U_ij on each free constant.
     relative: Callable[[Floats, Floats], Floats] = _in_pairs
 
     def shape(self, n: int) -> tuple[int, int]:

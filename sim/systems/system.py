@@ -705,25 +705,12 @@ def _first_cross_damping(system: System) -> str:
 
 
 class Beyond(NamedTuple):
-    """Something that eq. (10) does not have.
+    """Something that eq. (10) does not have."""
 
-    Attributes
-    ----------
-    is_in : callable
-        Whether a system has it.
-    argument : str
-        Of `System`, that gives it.
-    expected : str
-        What stands there without it; `{}` is who does not take it.
-    came : callable
-        What a system has there, in words.
-    remedy : str
-    """
-
-    is_in: Callable[[System], bool]
-    argument: str
-    expected: str
-    came: Callable[[System], str]
+    is_in: Callable[[System], bool]  #: whether a system has it
+    argument: str  #: of `System`, that gives it
+    expected: str  #: what stands there without it; `{}` is who does not take it
+    came: Callable[[System], str]  #: what a system has there, in words
     remedy: str = "leave it out"
 
 

@@ -16,68 +16,45 @@ from stickslip.sim.systems.weakening import LAWS
 #: Distributions that a number of each block may be drawn from.
 Draw = Literal["uniform", "normal"]
 
-BOUNDED: tuple[Draw, ...] = ("uniform",)
-UNBOUNDED: tuple[Draw, ...] = ("uniform", "normal")
-
 
 @dataclass(frozen=True, kw_only=True)
 class Term:
-    """A number of a system: one for all blocks, or one for each.
+    """A number of a system: one for all blocks, or one for each."""
 
-    Attributes
-    ----------
-    name : str
-        In ids, grids and columns, as "static" or "force_amplitude"; its key in [system], after `table` and "_".
-    words, default, example : str, object, object
-        Of that key.
-    column : str
-        Description of its column, if not `words`; a number, null where blocks differ.
-    least : float or None
-        Its least value, excluded if `is_above`.
-    draws : tuple of str
-        The distributions that it may be drawn from, block by block; none: it is one number a system.
-    ratio_of : str
-        Of which other term it may be a multiple, by a factor of at least 1; empty: of none.
-    in_time : bool
-        Whether it may change in time, linear between given times.
-    purpose : int or None
-        The first word of the key of its seed. Never renumber: stored data depend on it.
-    argument : str
-        The argument of `System`; empty: it is part of a coupling, a force or a friction law.
-    part : str
-        The optional part of a dataset with its column; see `stickslip.pipeline.scene.columns`. Empty: every dataset.
-    in_file : bool
-        Whether a file of K may contain it, as an array of its name, with a number for each block.
-    table : str
-        The inner table of [system] that contains its key.
-    dimension : str
-        The scale of `stickslip.Scales` that it is divided by where a scene has units; empty: none.
-    heading : str
-        Heading of its column in a report's table of groups, if not the name.
-    """
-
+    #: In ids, grids and columns, as "static" or "force_amplitude"; its key in [system], after `table` and "_".
     name: str
-    words: str
-    column: str = ""
+    words: str  #: of that key
+    column: str = ""  #: description of its column, if not `words`; a number, null where blocks differ
     default: float | None = None
     example: float | None = None
-    least: float | None = None
+    least: float | None = None  #: its least value, excluded if `is_above`
     is_above: bool = False
-    draws: tuple[Draw, ...] = ()
-    ratio_of: str = ""
-    in_time: bool = False
+    ratio_of: str = ""  #: of which other term it may be a multiple, by a factor of at least 1; empty: of none
+    in_time: bool = False  #: whether it may change in time, linear between given times
+    #: Of what may be drawn, block by block, the first word of the key of its seed; None: it is one number a system.
+    #: Never renumber: stored data depend on it.
     purpose: int | None = None
-    argument: str = ""
+    #: Whether it is an argument of `System`, by its name, which a file of K may contain too, as an array with a
+    #: number for each block. Else it is part of a coupling, a force or a friction law.
+    is_argument: bool = False
+    #: The optional part of a dataset with its column; see `stickslip.pipeline.scene.columns`. Empty: every dataset.
     part: str = ""
-    in_file: bool = False
-    table: str = ""
+    table: str = ""  #: the inner table of [system] that contains its key
+    #: The scale of `stickslip.Scales` that it is divided by where a scene has units; empty: none.
     dimension: str = ""
-    heading: str = ""
+    heading: str = ""  #: heading of its column in a report's table of groups, if not the name
 
     @property
     def key(self) -> str:
         """Its key within its table."""
         return self.name.removeprefix(f"{self.table}_")
+
+    @property
+    def draws(self) -> tuple[Draw, ...]:
+        """The distributions that it may be drawn from: with a least value none without bounds."""
+        if self.purpose is None:
+            return ()
+        return ("uniform", "normal") if self.least is None else ("uniform",)
 
     @property
     def title(self) -> str:
@@ -113,7 +90,6 @@ TERMS = (
         column="stiffness of every block's leaf spring; null if drawn",
         default=0.1,
         least=0,
-        draws=BOUNDED,
         purpose=8,
         part="graph",
         dimension="stiffness",
@@ -139,11 +115,9 @@ TERMS = (
         words="damping R of every block, of either sign, in the place of `rho`",
         column="damping R of every block; null if drawn",
         example=0.0,
-        draws=UNBOUNDED,
         purpose=5,
-        argument="damping",
+        is_argument=True,
         part="damping",
-        in_file=True,
         dimension="damping",
     ),
     _in_rayleigh(
@@ -166,10 +140,8 @@ TERMS = (
         words="kinetic friction mu of every block",
         default=1.0,
         least=0,
-        draws=BOUNDED,
         purpose=4,
-        argument="friction",
-        in_file=True,
+        is_argument=True,
         dimension="force",
     ),
     Term(
@@ -178,12 +150,10 @@ TERMS = (
         column="static friction of every block; null if drawn",
         example=1.3,
         least=0,
-        draws=BOUNDED,
         ratio_of="friction",
         purpose=9,
-        argument="static",
+        is_argument=True,
         part="static",
-        in_file=True,
         dimension="force",
     ),
     Term(
@@ -193,11 +163,9 @@ TERMS = (
         example=2.0,
         least=0,
         is_above=True,
-        draws=BOUNDED,
         purpose=10,
-        argument="mass",
+        is_argument=True,
         part="mass",
-        in_file=True,
         dimension="mass",
     ),
     Term(
@@ -205,11 +173,9 @@ TERMS = (
         words="speed v of the belt, linear between times and constant beyond if it has any",
         column="speed v of the belt",
         default=-0.2,
-        draws=UNBOUNDED,
         in_time=True,
         purpose=11,
-        argument="belt_speed",
-        in_file=True,
+        is_argument=True,
         dimension="speed",
     ),
     _in_force(
@@ -217,7 +183,6 @@ TERMS = (
         words="amplitude of the force on every block",
         column="amplitude of the force on every block; null if drawn",
         example=0.5,
-        draws=UNBOUNDED,
         purpose=12,
         heading="force",
         dimension="force",
@@ -228,7 +193,6 @@ TERMS = (
         column="frequency of the force, in radians a unit of time; null if drawn",
         example=1.0,
         least=0,
-        draws=BOUNDED,
         purpose=13,
         heading="frequency",
         dimension="angular_frequency",
@@ -238,7 +202,6 @@ TERMS = (
         words="phase of the force at t = 0",
         column="phase of the force at t = 0; null if drawn",
         default=0.0,
-        draws=UNBOUNDED,
         purpose=14,
         heading="phase",
     ),
@@ -298,4 +261,4 @@ TERMS = (
 )
 
 #: The arguments of `System` among them, a number for each block, which files of K may contain too.
-OF_BLOCKS = tuple(term.name for term in TERMS if term.in_file)
+OF_BLOCKS = tuple(term.name for term in TERMS if term.is_argument)

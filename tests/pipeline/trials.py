@@ -12,10 +12,14 @@ from stickslip.pipeline.own import files, function, modules, trial
 
 
 def anew(task: Any) -> Any:
-    """In a child: try a function, and keep nothing that was loaded for it."""
+    """In a child: try a function, and keep nothing that was loaded for it but this package, whose kernels know their
+    classes by name.
+    """
     before = set(sys.modules)
     found = trial._try(task)
     for name in set(sys.modules) - before:
+        if name.startswith("stickslip."):
+            continue
         file = getattr(sys.modules[name], "__file__", None)
         if file is None or not files.is_installed(Path(file)):
             del sys.modules[name]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Samples
 from stickslip.sim.systems.system import System
 
+_length = partial(Column, "number", least=0.0, dimension="length")
+
 
 @dataclass(frozen=True)
 class Amplitude(StateRecord):
@@ -21,31 +24,22 @@ class Amplitude(StateRecord):
     name = "amplitude"
     words = "whether to keep the amplitude of motion after t_burn, half of peak to peak of z; or of which blocks"
     columns = (
-        Column(
-            "number",
+        _length(
             "amplitude",
             "half of peak to peak of z after t_burn, the largest of the blocks",
-            least=0.0,
             note="null if the run ended before",
-            dimension="length",
         ),
-        Column(
-            "number",
+        _length(
             "amplitude_mean",
             "half of peak to peak of z after t_burn, mean over the blocks",
-            least=0.0,
             title="amplitude over the blocks",
-            dimension="length",
         ),
     )
-    of_block = Column(
-        "number",
+    of_block = _length(
         "amplitude_{}",
         "half of peak to peak of z of {} after t_burn",
-        least=0.0,
         title="amplitude of {}",
         note="null if the run ended before",
-        dimension="length",
     )
 
     def of_states(self, samples: Samples, system: System) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
@@ -10,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from stickslip.pipeline.design.column import Column
-from stickslip.pipeline.records.record import Facts, Made, Member, Memory, Record, Sharing
+from stickslip.pipeline.records.record import Facts, Made, Member, Memory, Record, Sharing, steps
 from stickslip.sim.numerics.arguments import Floats, apart
 
 
@@ -52,9 +51,9 @@ class Separation(Record):
                 ' = "uniform"'
             )
         if self.step < facts.least_step:
-            steps = f"run.t_end / {round(facts.t_end / facts.least_step)}"
+            least = f"run.t_end / {round(facts.t_end / facts.least_step)}"
             bound, step = apart(facts.least_step, self.step, digits=2)
-            return f"expected at least {bound}, {steps}, got {step}; enlarge it"
+            return f"expected at least {bound}, {least}, got {step}; enlarge it"
         return ""
 
     def memory(self, facts: Facts) -> Memory:
@@ -65,8 +64,7 @@ class Separation(Record):
         """0, step, 2 step ... to t_end, which rounding does not lose; none of an unchanged run."""
         if member.base is None:
             return np.empty(0)
-        times = self.step * np.arange(math.floor(member.t_end / self.step * (1 + 1e-12)) + 1)
-        return np.minimum(times, member.t_end)
+        return steps(0.0, member.t_end, self.step)
 
     def cost(self, member: Member, sharing: Sharing) -> float:
         """The unchanged run is run again, once for its changed copies."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from stickslip.pipeline.records.record import StateRecord, mean_in_time
 from stickslip.sim.runs.run import Samples
 from stickslip.sim.systems.system import System
 
+_speed = partial(Column, "number", least=0.0, dimension="speed")
+
 
 @dataclass(frozen=True)
 class SlipSpeed(StateRecord):
@@ -20,31 +23,22 @@ class SlipSpeed(StateRecord):
     name = "slip_speed"
     words = "whether to keep the speed of slip after t_burn, over blocks and time; or of which blocks"
     columns = (
-        Column(
-            "number",
+        _speed(
             "slip_speed",
             "mean of |w - v| over blocks with friction and time after t_burn, 0 while they stick",
-            least=0.0,
             note="null if the run ended before, or no block has friction",
-            dimension="speed",
         ),
-        Column(
-            "number",
+        _speed(
             "slip_speed_rms",
             "root mean square of |w - v| over blocks with friction and time after t_burn",
-            least=0.0,
             title="root mean square of the slip speed",
-            dimension="speed",
         ),
     )
-    of_block = Column(
-        "number",
+    of_block = _speed(
         "slip_speed_{}",
         "mean of |w - v| of {} over time after t_burn, 0 while it sticks",
-        least=0.0,
         title="slip speed of {}",
         note="null if the run ended before",
-        dimension="speed",
     )
     is_of_contacts = True
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ import numpy as np
 from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records.record import Made, WindowRecord
 from stickslip.sim.runs.series import EventSeries
+
+_column = partial(Column, "number", least=0.0, most=1.0)
 
 
 @dataclass(frozen=True)
@@ -22,30 +25,21 @@ class StickShare(WindowRecord):
         " or the former of which blocks"
     )
     columns = (
-        Column(
-            "number",
+        _column(
             "stick_share",
             "share of the time after t_burn that a block sticks, mean over the blocks with friction",
-            least=0.0,
-            most=1.0,
             title="share of time that a block sticks",
             note="null if the run ended before, or no block has friction",
         ),
-        Column(
-            "number",
+        _column(
             "never_slipped",
             "share of the blocks with friction that stick from t_burn to the end",
-            least=0.0,
-            most=1.0,
             title="share of blocks that never slip",
         ),
     )
-    of_block = Column(
-        "number",
+    of_block = _column(
         "stick_share_{}",
         "share of the time after t_burn that {} sticks",
-        least=0.0,
-        most=1.0,
         title="share of time that {} sticks",
         note="null if the run ended before",
     )

@@ -25,20 +25,11 @@ class Reader(ABC):
 
     The readers of Python and NumPy raise exceptions of many kinds for damaged files; none that runs in this process
     crashes.
-
-    Attributes
-    ----------
-    name : str
-        The format in messages, as "an .npz".
-    magic : bytes
-        What its files begin with.
-    may_crash : bool
-        Whether it is code that a damaged file can crash, to be called in a child.
     """
 
-    name: ClassVar[str]
-    magic: ClassVar[bytes]
-    may_crash: ClassVar[bool] = False
+    name: ClassVar[str]  #: the format in messages, as "an .npz"
+    magic: ClassVar[bytes]  #: what its files begin with
+    may_crash: ClassVar[bool] = False  #: whether it is code that a damaged file can crash, to be called in a child
 
     def __init__(self, content: bytes) -> None:
         self._content = content

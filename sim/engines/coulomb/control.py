@@ -12,7 +12,6 @@ import math
 from typing import Generic, NamedTuple
 
 from stickslip.sim.engines import course
-from stickslip.sim.engines.contract import Task
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 
@@ -106,6 +105,9 @@ STALL = 1000
 #: So are as many steps in a row without an event, each below this share of the shortest time scale. Chosen.
 CRAWL = 1e-6
 
+#: What a certificate of collapse costs for few blocks, see `certificates.cost_of`.
+CERTIFICATE = 5000.0
+
 #: Touches are told by so many times the estimate of the error of w (`taylor.error_after`). Measured: the error was
 #: up to 1.9 of it at the first touches of 16,000 runs of three undamped, uncoupled blocks, tolerances 1e-4 to 1e-13.
 TOLD = 4.0
@@ -144,11 +146,3 @@ def note_window(clock: Floats, is_cut: bool) -> None:
     """Take a window, whose time is in the clock, into the mean length."""
     clock[EXPOSURE] *= DECAY
     clock[CUTS] = DECAY * (clock[CUTS] + (1.0 if is_cut else 0.0))
-
-
-def certificate(task: Task) -> float:
-    """What a certificate of collapse costs, in products of a dense K: measured, n = 2 to 400, within a factor of two.
-
-    0 if the task asks for one whenever all blocks slip.
-    """
-    return 0.0 if task.certify else 5000.0 + 120.0 * task.system.n

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.engines import stacks
-from stickslip.sim.engines.certificates import Collapse
+from stickslip.sim.engines.certificates import Collapse, cost_of
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.coulomb import control, sparse, step, waves
 from stickslip.sim.engines.coulomb.control import Goal
@@ -19,11 +19,11 @@ from stickslip.sim.engines.coulomb.expansion import Expansion
 from stickslip.sim.engines.coulomb.model import Model
 from stickslip.sim.engines.coulomb.overdamped import Slow, is_heavy
 from stickslip.sim.engines.coulomb.sparse import Local
-from stickslip.sim.engines.coulomb.windows import Search, Work
+from stickslip.sim.engines.coulomb.windows import Runs, Search, Work
 from stickslip.sim.engines.course import Events, FirstSlice, State
 from stickslip.sim.engines.forcing import Drive
 from stickslip.sim.engines.precheck import Precheck
-from stickslip.sim.engines.stacks import Several, Stack
+from stickslip.sim.engines.stacks import Several
 from stickslip.sim.kernels.compile import kernel
 from stickslip.sim.numerics import products
 from stickslip.sim.numerics.arguments import Floats, Ints
@@ -117,17 +117,13 @@ def _followed(system: System, tol: float) -> float:
 
 
 @kernel
-def advance(
-    stack: Stack[Model, Work[None], Goal[Floats], Ints], events: Events, precheck: Precheck, first: int, slices: Ints
-) -> None:
+def advance(stack: Runs[None], events: Events, precheck: Precheck, first: int, slices: Ints) -> None:
     """See `frame`."""
     step.take(stack, events, precheck, first, slices)
 
 
 @kernel
-def advance_locally(
-    stack: Stack[Model, Work[Local], Goal[Floats], Ints], events: Events, precheck: Precheck, first: int, slices: Ints
-) -> None:
+def advance_locally(stack: Runs[Local], events: Events, precheck: Precheck, first: int, slices: Ints) -> None:
     """See `frame`."""
     sparse.take(stack, events, precheck, first, slices)
 
@@ -171,7 +167,7 @@ class _Runs(Several):
         )
         self.bounds, self.lengths = np.empty(len(tasks)), np.array([drive.length for drive in self.drives])
         self.collapse = [
-            Collapse(task.system, _followed(task.system, tol), cost=control.certificate(task))
+            Collapse(task.system, _followed(task.system, tol), cost=cost_of(task, control.CERTIFICATE))
             for task, tol in zip(tasks, self.tols.tolist(), strict=True)
         ]
         may_be_slow = len(tasks) == 1 and weakening is None and first.cross_damping is None

@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines import course
 from stickslip.sim.engines.coulomb import control
-from stickslip.sim.engines.coulomb.control import Goal
 from stickslip.sim.engines.coulomb.events import Face, enclose, excluded, root
 from stickslip.sim.engines.coulomb.expansion import Expansion, Window
 from stickslip.sim.engines.coulomb.model import Cross, Model
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
 from stickslip.sim.engines.coulomb.taylor import UNDECIDED, curvature, decide, error_after, expand, pull_of
-from stickslip.sim.engines.coulomb.windows import Search, Work, evaluate, instant, note, record, sample, stalls
-from stickslip.sim.engines.course import Events, State
+from stickslip.sim.engines.coulomb.windows import Run, evaluate, instant, note, record, sample, stalls
+from stickslip.sim.engines.course import Events
 from stickslip.sim.engines.frame import Way, frame
 from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.kernels.compile import inner
@@ -109,16 +108,10 @@ def _winner(due: Floats) -> int:
 
 @inner
 def _next_event(
-    model: Model,
-    search: Search,
-    i: int,
-    face: Face,
-    series: Floats,
-    column: int,
-    reach: float,
-    horizon: tuple[int, float],
+    run: Run[Local], i: int, face: Face, series: Floats, column: int, reach: float, horizon: tuple[int, float]
 ) -> float:
     """The time to the next event of block i; its series, of which `reach` is known, is that column."""
+    model, search = run.model, run.work.search
     first, v = (series[0, column], series[1, column], series[2, column]), model.belt_speed[i]
     bounds = v, model.damping[i] * v, model.static[i], model.closed[i]
     if excluded(face, first, bounds, horizon[1], reach):
@@ -128,14 +121,15 @@ def _next_event(
 
 
 @inner
-def _schedule_all(model: Model, expansion: Expansion, search: Search, due: Floats, order: int, h: float) -> None:
+def _schedule_all(run: Run[Local], order: int, h: float) -> None:
     """Find every block's next event within h; all series are about the start of a window."""
-    series, mode, reach, n, size = expansion.series, expansion.mode, search.reach, len(expansion.mode), len(due) // 2
+    expansion, reach, due = run.work.expansion, run.work.search.reach, run.work.local.due
+    series, mode, n, size = expansion.series, expansion.mode, len(expansion.mode), len(due) // 2
     zeros, side = expansion.zeros, expansion.side
     enclose(series, expansion.slips, order, h, reach, n)
     for i in range(n):
         face = mode[i], zeros[i], side[i]
-        due[size + i] = _next_event(model, search, i, face, series, i, reach[i], (order, h))
+        due[size + i] = _next_event(run, i, face, series, i, reach[i], (order, h))
     for k in range(size - 1, 0, -1):
         due[k] = min(due[2 * k], due[2 * k + 1])
 
@@ -283,18 +277,9 @@ def _is_alone(model: Model, local: Local, h: float, count: int, z_max: float) ->
 
 
 @inner
-def _put_back(
-    model: Model,
-    expansion: Expansion,
-    search: Search,
-    local: Local,
-    order: int,
-    span: tuple[float, float],
-    count: int,
-    n_zeros: int,
-) -> None:
+def _put_back(run: Run[Local], order: int, span: tuple[float, float], count: int, n_zeros: int) -> None:
     """Copy the series of the members back, and find the next event of each in a span from s, of length h."""
-    s, h = span
+    model, expansion, local, (s, h) = run.model, run.work.expansion, run.work.local, span
     series, mode, members, reach = local.series, local.mode, local.members, local.reach
     of_all, stuck_z, origin, due, v = expansion.series, expansion.stuck_z, local.origin, local.due, model.belt_speed
     for a in range(count):
@@ -304,26 +289,18 @@ def _put_back(
             of_all[k, i] = series[k, a]
         stuck_z[i] += v[i] * (s - origin[i])
         origin[i] = s
-        time = _next_event(model, search, i, (mode[a], zeros, 0), series, a, reach[a], (order, h))
+        time = _next_event(run, i, (mode[a], zeros, 0), series, a, reach[a], (order, h))
         _schedule(due, i, s + time)
 
 
 @inner
-def _pass_on_from(
-    model: Model,
-    goal: Goal[float],
-    expansion: Expansion,
-    search: Search,
-    local: Local,
-    window: Window,
-    block: int,
-    span: tuple[float, float],
-) -> float:
+def _pass_on_from(run: Run[Local], window: Window, block: int, span: tuple[float, float]) -> float:
     """Carry the series over an event of one block at the start of a span, if no other event is near it then.
 
     Returns the end of the window, at most that of the span; less than its start if a new expansion is to decide (then
     nothing has changed).
     """
+    model, expansion, local = run.model, run.work.expansion, run.work.local
     (s, end), order, allowed = span, window.order, window.allowed
     members, place, series, pull = local.members, local.place, local.series, expansion.pull
     left, v = end - s, model.belt_speed[block]
@@ -332,7 +309,7 @@ def _pass_on_from(
     was_stuck = local.mode[0] == 0
     pull_of(model, block, local.mode[0], series, 0, order, pull)
     force = model.damping[block] * v + pull[0]
-    new = decide(model, block, was_stuck, force, pull[1], window, goal.rate)
+    new = decide(model, block, was_stuck, force, pull[1], window, run.goal.rate)
     if new == UNDECIDED or left <= 0.0:
         return -1.0
     start = curvature(model, block, was_stuck, new, force)
@@ -368,14 +345,15 @@ def _pass_on_from(
     expansion.mode[block] = new
     expansion.slips[block] = local.slips[0]
     n_zeros = 2 if was_stuck and model.static[block] == model.friction[block] else 1
-    _put_back(model, expansion, search, local, order, (s, left), count, n_zeros)
+    _put_back(run, order, (s, left), count, n_zeros)
     expansion.stuck_z[block] = z
     return s + left
 
 
 @inner
-def _close(model: Model, work: Work[Local], state: State, window: Window, s: float, block: int) -> None:
+def _close(run: Run[Local], window: Window, s: float, block: int) -> None:
     """The state at the end of a window, and which blocks are to be decided there."""
+    model, work, state = run.model, run.work, run.state
     expansion, noise, v, order = work.expansion, work.search.near, model.belt_speed, window.order
     z, w, n, power = state.z, state.w, len(state.z), window.span
     series, mode, touching = expansion.series, expansion.mode, expansion.touching
@@ -398,10 +376,9 @@ def _blank() -> Opened:
 
 
 @inner
-def _open(
-    model: Model, work: Work[Local], goal: Goal[float], state: State, window: Opened, remaining: float
-) -> Opened:
+def _open(run: Run[Local], window: Opened, remaining: float) -> Opened:
     """Expand all series, and decide the modes of blocks at their belt's speed; `carry` leaves no window open."""
+    model, work, goal, state = run.model, run.work, run.goal, run.state
     target = control.next_window(state.clock, remaining)
     target = min(target, control.SPARSE_SPAN / goal.rate) if goal.rate > 0.0 else target
     order, h, allowed, n_products = expand(model, work.expansion, goal, state, target)
@@ -411,45 +388,30 @@ def _open(
 
 
 @inner
-def _at(model: Model, work: Work[Local], goal: Goal[float], state: State, window: Opened, t: float) -> None:
-    sample(work.expansion, model.belt_speed, work.local.origin, window.series.order, t, t, state)
+def _at(run: Run[Local], window: Opened, t: float) -> None:
+    sample(run.work.expansion, run.model.belt_speed, run.work.local.origin, window.series.order, t, t, run.state)
 
 
 @inner
-def _pass_event(
-    model: Model,
-    work: Work[Local],
-    goal: Goal[float],
-    state: State,
-    window: Window,
-    block: int,
-    span: tuple[float, float],
-) -> float:
+def _pass_event(run: Run[Local], window: Window, block: int, span: tuple[float, float]) -> float:
     """Carry the series over an event at the start of a span, if no other is due then; returns as `_pass_on_from`."""
-    due, s = work.local.due, span[0]
+    due, s = run.work.local.due, span[0]
     _schedule(due, block, _NEVER)
-    if due[1] <= s + instant(goal, state.clock[course.TIME]):
+    if due[1] <= s + instant(run.goal, run.state.clock[course.TIME]):
         return -1.0
-    return _pass_on_from(model, goal, work.expansion, work.search, work.local, window, block, span)
+    return _pass_on_from(run, window, block, span)
 
 
 @inner
 def _carry(
-    model: Model,
-    work: Work[Local],
-    goal: Goal[float],
-    state: State,
-    opened: Opened,
-    is_after_event: bool,
-    precheck: Precheck,
-    events: Events,
-    n_recorded: int,
+    run: Run[Local], opened: Opened, is_after_event: bool, precheck: Precheck, events: Events, n_recorded: int
 ) -> tuple[Opened, int, bool]:
     """Go on to the end of the window, from event to event; see `frame.Way`."""
+    model, work, goal, state = run.model, run.work, run.goal, run.state
     expansion, local, clock, counters, mode = work.expansion, work.local, state.clock, state.counters, state.mode
     window, target, n, n_slip = opened.series, opened.target, len(mode), 0
     t, lacked, error_before = clock[course.TIME], clock[course.LACKING], clock[course.ERROR]
-    _schedule_all(model, expansion, work.search, local.due, window.order, window.span)
+    _schedule_all(run, window.order, window.span)
     for i in range(n):
         n_slip += abs(mode[i])
     error = error_after(model, expansion, goal, window, window.span, error_before)
@@ -469,16 +431,16 @@ def _carry(
             counters[course.LAST_BLOCK] = block
             was = mode[block]
             # while none slips, nothing is expanded yet
-            carried_to = _pass_event(model, work, goal, state, window, block, (s, end)) if n_slip > 0 else -1.0
+            carried_to = _pass_event(run, window, block, (s, end)) if n_slip > 0 else -1.0
             if carried_to >= s:
                 end, is_after_event = min(end, carried_to), True
-                n_recorded = record(model, work, clock, (block, was), error, events, n_recorded)
+                n_recorded = record(run, (block, was), error, events, n_recorded)
                 course.note_event(clock, counters)
                 n_slip += abs(mode[block]) - abs(was)
                 is_asked = n_slip == n and course.is_check_due(state, mode, precheck, goal.t_end - t - s)
                 goes_on = n_slip > 0 and not is_asked and n_recorded + n <= len(events.t)
     clock[course.ERROR] = error_after(model, expansion, goal, window, s, error_before)
-    _close(model, work, state, window, s, block)
+    _close(run, window, s, block)
     clock[control.EXPOSURE] += min(s, target)
     control.note_window(clock, s < target)
     return opened, n_recorded, False

@@ -28,7 +28,6 @@ from typing import NamedTuple
 
 from stickslip.sim.engines import course
 from stickslip.sim.engines.coulomb import control
-from stickslip.sim.engines.coulomb.control import Goal
 from stickslip.sim.engines.coulomb.events import enclose, excluded, root
 from stickslip.sim.engines.coulomb.expansion import Expansion
 from stickslip.sim.engines.coulomb.expansion import Window as Series
@@ -36,12 +35,11 @@ from stickslip.sim.engines.coulomb.model import Model
 from stickslip.sim.engines.coulomb.overdamped import follow
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
 from stickslip.sim.engines.coulomb.taylor import correct, error_after, expand, shift
-from stickslip.sim.engines.coulomb.windows import Search, Work, evaluate, note, sample, stalls
-from stickslip.sim.engines.course import Events, State
+from stickslip.sim.engines.coulomb.windows import Run, Search, evaluate, note, sample, stalls
+from stickslip.sim.engines.course import Events
 from stickslip.sim.engines.frame import Way, frame
 from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.kernels.compile import inner
-from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, largest
 
 
@@ -78,23 +76,14 @@ def _first_event(model: Model, expansion: Expansion, search: Search, order: int,
 
 
 @inner
-def _on_the_edge(
-    model: Model,
-    expansion: Expansion,
-    noise: Floats,
-    z_max: float,
-    w: Floats,
-    block: int,
-    order: int,
-    step: float,
-    has_forces: bool,
-) -> int:
+def _on_the_edge(run: Run[None], z_max: float, block: int, order: int, step: float, has_forces: bool) -> int:
     """Mark the slipping blocks with w = v up to rounding; returns how many blocks this instant concerns.
 
     Of them, with a static friction above the kinetic, a block that has just left goes on: w' is the difference of the
     two then, and at most 0 if it comes. The instant is a `step` into the series. If the forces at it are known,
     sticking blocks with |F| = m count too.
     """
+    model, expansion, noise, w = run.model, run.work.expansion, run.work.search.near, run.state.w
     v, mode, touching, series = model.belt_speed, expansion.mode, expansion.touching, expansion.series
     static, friction, damping, leaves = model.static, model.friction, model.damping, expansion.leaves
     row_sums, closed, count = model.row_sums, model.closed, 0
@@ -123,12 +112,11 @@ def _blank() -> Window:
 
 
 @inner
-def _open(
-    model: Model, work: Work[None], goal: Goal[float], state: State, window: Window, remaining: float
-) -> Window:
+def _open(run: Run[None], window: Window, remaining: float) -> Window:
     """Expand all series, and decide the modes of blocks at their belt's speed, unless the last window goes on."""
     if window.is_open:
         return window
+    model, work, goal, state = run.model, run.work, run.goal, run.state
     target = control.next_window(state.clock, remaining)
     order, h, allowed, n_products = follow(work.slow, model, work.expansion, goal, state, target)
     state.counters[course.N_PRODUCTS] += n_products
@@ -142,49 +130,34 @@ def _open(
 
 
 @inner
-def _at(model: Model, work: Work[None], goal: Goal[float], state: State, window: Window, t: float) -> None:
-    sample(work.expansion, model.belt_speed, None, window.order, t, t, state)
+def _at(run: Run[None], window: Window, t: float) -> None:
+    sample(run.work.expansion, run.model.belt_speed, None, window.order, t, t, run.state)
 
 
 @inner
-def _pass_event(
-    model: Model,
-    work: Work[None],
-    goal: Goal[float],
-    state: State,
-    window: Window,
-    block: int,
-    step: float,
-    left: float,
-) -> float:
+def _pass_event(run: Run[None], window: Window, block: int, step: float, left: float) -> float:
     """Go to an event, and carry the series over it; returns how far they hold from there on, 0 if not at all."""
-    expansion, v, mode, z, w, order = work.expansion, model.belt_speed, state.mode, state.z, state.w, window.order
+    model, expansion, state = run.model, run.work.expansion, run.state
+    v, mode, z, w, order = model.belt_speed, state.mode, state.z, state.w, window.order
     series, stuck_z = expansion.series, expansion.stuck_z
     shift(expansion, order, step, v)
     for i in range(len(z)):
         z[i], w[i] = (stuck_z[i], v[i]) if mode[i] == 0 else (series[0, i], series[1, i])
     z_max = largest(z)
-    if _on_the_edge(model, expansion, work.search.near, z_max, w, block, order, 0.0, True) > 1:
+    if _on_the_edge(run, z_max, block, order, 0.0, True) > 1:
         return 0.0
     of_series = Series(order, window.span, window.allowed, z_max)
-    h = correct(model, expansion, block, of_series, left, goal.rate)
+    h = correct(model, expansion, block, of_series, left, run.goal.rate)
     expansion.touching[block] = mode[block] != 0  # so that a new expansion, if it comes first, decides the same
     return h
 
 
 @inner
 def _carry(
-    model: Model,
-    work: Work[None],
-    goal: Goal[float],
-    state: State,
-    window: Window,
-    is_after_event: bool,
-    precheck: Precheck,
-    events: Events,
-    n_recorded: int,
+    run: Run[None], window: Window, is_after_event: bool, precheck: Precheck, events: Events, n_recorded: int
 ) -> tuple[Window, int, bool]:
     """Go on to the next event, or to the end of the window; see `frame.Way`."""
+    model, work, goal, state = run.model, run.work, run.goal, run.state
     expansion, noise, v, order = work.expansion, work.search.near, model.belt_speed, window.order
     z, w, clock, counters = state.z, state.w, state.clock, state.counters
     series, reach = expansion.series, work.search.reach
@@ -204,11 +177,11 @@ def _carry(
     clock[course.ERROR] = error_after(model, expansion, goal, of_series, age, window.error)
     is_linear = model.weakening is None and not window.is_slow and model.cross is None
     if block >= 0 and left > 0.0 and is_linear and model.carries:
-        h = _pass_event(model, work, goal, state, window, block, step, left)
+        h = _pass_event(run, window, block, step, left)
         is_cut, is_open = window.is_cut or h < left, control.is_worth_using(clock, h)
     else:
         evaluate(expansion, v, None, order, step, z, w)
-        _on_the_edge(model, expansion, noise, 0.0, w, block, order, step, False)
+        _on_the_edge(run, 0.0, block, order, step, False)
         h, is_cut, is_open = 0.0, window.is_cut or block >= 0, False
     clock[course.TIME], clock[course.LACKING] = t_next, lacking
     clock[control.EXPOSURE] += step

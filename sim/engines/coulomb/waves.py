@@ -13,20 +13,18 @@ from dataclasses import replace
 import numpy as np
 
 from stickslip.sim.engines import course
-from stickslip.sim.engines.certificates import Collapse
+from stickslip.sim.engines.certificates import Collapse, cost_of
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.course import Events
 from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.engines.sigmoid_law import SetValued
-from stickslip.sim.engines.stacks import Stack
 from stickslip.sim.engines.waveform import control as limits
-from stickslip.sim.engines.waveform.control import Control
-from stickslip.sim.engines.waveform.layout import Exact, Model, Shared, Workspace
+from stickslip.sim.engines.waveform.layout import Exact, Model, Runs, Shared, Workspace
 from stickslip.sim.engines.waveform.matrices import matrices_of, signed_sum
 from stickslip.sim.engines.waveform.runs import WaveformRuns, tables_of
 from stickslip.sim.engines.waveform.step import take
 from stickslip.sim.kernels.compile import kernel
-from stickslip.sim.numerics.arguments import Floats, Ints
+from stickslip.sim.numerics.arguments import Ints
 from stickslip.sim.numerics.radau import NODES
 from stickslip.sim.runs.run import Run, StalledError
 
@@ -37,13 +35,7 @@ _PIECES, _MORE = 8, 256
 
 
 @kernel
-def advance(
-    stack: Stack[Model, Workspace, Control[Floats], Ints],
-    events: Events,
-    precheck: Precheck,
-    first: int,
-    slices: Ints,
-) -> None:
+def advance(stack: Runs, events: Events, precheck: Precheck, first: int, slices: Ints) -> None:
     """See `frame`."""
     take(stack, events, precheck, first, slices)
 
@@ -67,7 +59,8 @@ class _Waves(WaveformRuns):
         block.kept_f += np.outer(NODES - 1.0, system.stiffness @ task.w0)
         block.kept_z += np.outer(NODES - 1.0, task.w0)
         modes = block.mode.astype(np.int8)[np.newaxis]
-        self.initial_modes, self.collapse = modes.copy(), [Collapse(system, followed, cost=limits.certificate(task))]
+        self.initial_modes = modes.copy()
+        self.collapse = [Collapse(system, followed, cost=cost_of(task, limits.CERTIFICATE))]
         exact = Exact(limits.EXACT_CALIBRATION * tol, 0.5 * max(0.0, system.least_damping), system.fastest_belt)
         self.begin_clocks(modes, exact.tol, max(system.fastest_belt, float(np.abs(task.w0).max())))
         self.single_rates = limits.single_rate(np.array([signed_sum(system)])) / limits.EXACT_SINGLE_SHARE

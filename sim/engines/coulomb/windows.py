@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from stickslip.sim.engines.coulomb.expansion import Expansion
 from stickslip.sim.engines.coulomb.model import Model, coupling
 from stickslip.sim.engines.coulomb.overdamped import Slow
 from stickslip.sim.engines.course import Events, State
+from stickslip.sim.engines.stacks import Stack
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats, Ints
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy
@@ -51,6 +52,11 @@ class Work(NamedTuple, Generic[Near]):
     search: Search
     slow: Slow | None  #: of a stack of one: where blocks are heavily damped
     local: Near
+
+
+#: Some runs as a stack, and one of them.
+Runs: TypeAlias = Stack[Model, Work[Near], Goal[Floats], Ints]
+Run: TypeAlias = Stack[Model, Work[Near], Goal[float], int]
 
 
 @inner
@@ -102,10 +108,9 @@ def touch(model: Model, series: Floats, i: int, before: int, mode: int, error: f
 
 
 @inner
-def note(
-    model: Model, work: Work[object], goal: Goal[float], state: State, events: Events, n_recorded: int
-) -> tuple[int, bool]:
+def note(run: Run[Any], events: Events, n_recorded: int) -> tuple[int, bool]:
     """Record the modes that have changed; returns how many events are recorded, and whether all modes agree."""
+    work, state = run.work, run.state
     clock, counters, mode, known_mode = state.clock, state.counters, state.mode, work.search.known_mode
     if counters[course.N_STEPS] == 0:
         copy(mode, work.search.initial_mode)
@@ -113,7 +118,7 @@ def note(
     before, same = n_recorded, True
     for i in range(len(mode)):
         if mode[i] != known_mode[i]:
-            n_recorded = record(model, work, clock, (i, known_mode[i]), clock[course.ERROR], events, n_recorded)
+            n_recorded = record(run, (i, known_mode[i]), clock[course.ERROR], events, n_recorded)
         same = same and mode[i] == mode[0]
     if n_recorded > before:
         course.note_event(clock, counters)
@@ -122,21 +127,13 @@ def note(
 
 
 @inner
-def record(
-    model: Model,
-    work: Work[object],
-    clock: Floats,
-    change: tuple[int, int],
-    error: float,
-    events: Events,
-    n_recorded: int,
-) -> int:
+def record(run: Run[Any], change: tuple[int, int], error: float, events: Events, n_recorded: int) -> int:
     """Record an event now: a block, and its mode before. Returns how many events are recorded."""
-    (block, before), mode = change, work.expansion.mode
-    events.t[n_recorded] = clock[course.TIME]
+    (block, before), work, mode = change, run.work, run.work.expansion.mode
+    events.t[n_recorded] = run.state.clock[course.TIME]
     events.block[n_recorded] = block
     events.mode[n_recorded] = mode[block]
-    events.touch[n_recorded] = touch(model, work.expansion.series, block, before, mode[block], error)
+    events.touch[n_recorded] = touch(run.model, work.expansion.series, block, before, mode[block], error)
     work.search.known_mode[block] = mode[block]
     return n_recorded + 1
 

@@ -23,7 +23,7 @@ from stickslip.sim.engines.moreau.step import (
 )
 from stickslip.sim.numerics.arguments import apart
 from stickslip.sim.runs.run import IntegrationError, Run, Stats, Stills
-from stickslip.sim.runs.series import EventSeries, without_returns
+from stickslip.sim.runs.series import EventSeries, part_of, without_returns
 
 
 def integrate(task: Task, longest: float) -> Run:
@@ -93,11 +93,4 @@ def _crossed(series: EventSeries) -> EventSeries:
     passes &= mode[1:] == -series.previous_mode[order][:-1]
     is_kept = np.ones(len(series), dtype=bool)
     is_kept[order[:-1][passes]] = False
-    return EventSeries(
-        series.t[is_kept],
-        series.block[is_kept],
-        series.mode[is_kept],
-        series.initial_mode,
-        series.t_start,
-        series.t_end,
-    )
+    return part_of(series, is_kept)

@@ -16,11 +16,9 @@ from stickslip.sim.engines.forcing import Forcing
 from stickslip.sim.engines.polynomials import Polynomials
 from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.engines.sigmoid_law import Peaked, Plain, Steady
-from stickslip.sim.engines.stacks import Stack
 from stickslip.sim.engines.waveform import control as limits
-from stickslip.sim.engines.waveform.control import Control
 from stickslip.sim.engines.waveform.events import PASSES
-from stickslip.sim.engines.waveform.layout import Blocks, Model, Shared, Workspace
+from stickslip.sim.engines.waveform.layout import Blocks, Model, Runs, Shared, Workspace
 from stickslip.sim.engines.waveform.matrices import NONE, Matrix, matrices_of, matrix_of
 from stickslip.sim.engines.waveform.runs import WaveformRuns, tables_of
 from stickslip.sim.engines.waveform.step import take
@@ -124,13 +122,7 @@ class _Inside(NamedTuple):
 
 
 @kernel
-def advance(
-    stack: Stack[Model, Workspace, Control[Floats], Ints],
-    events: Events,
-    precheck: Precheck,
-    first: int,
-    slices: Ints,
-) -> None:
+def advance(stack: Runs, events: Events, precheck: Precheck, first: int, slices: Ints) -> None:
     """See `frame`."""
     take(stack, events, precheck, first, slices)
 
@@ -209,7 +201,7 @@ class _Runs(WaveformRuns):
         self.modes = _modes(self.block, self.models.bands, layer)
         self.initial_modes = self.modes.copy()
         self.collapse = [
-            certificates.Collapse(task.system, error, smoothed, limits.certificate(task))
+            certificates.Collapse(task.system, error, smoothed, certificates.cost_of(task, limits.CERTIFICATE))
             for task, error, smoothed in zip(tasks, given.allowed, given.smoothed, strict=True)
         ]
         steps = self.begin_clocks(self.modes, atol)

@@ -12,7 +12,6 @@ from typing import Generic, NamedTuple
 import numpy as np
 
 from stickslip.sim.engines import course
-from stickslip.sim.engines.contract import Task
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.panels import SINGLE_ERROR
@@ -148,6 +147,9 @@ EXACT_CALIBRATION = 5.0
 #: to 1 and tolerances 1e-3 to 1e-6: the error of runs was 0.4 to 1.7 of what follows in the median, 5 at most.
 AT_END = 0.03
 
+#: What a certificate of collapse costs for few blocks, see `certificates.cost_of`.
+CERTIFICATE = 2500.0
+
 #: Clocks behind those that every engine keeps: the next step to try, the one whose polynomials are kept, the
 #: contraction of an iteration, and whether F has jumped since the last step.
 STEP, KEPT_STEP, CONTRACTION, JUMPED = range(course.N_CLOCKS, course.N_CLOCKS + 4)
@@ -229,11 +231,3 @@ def single_rate(pull: Floats) -> Floats:
     It is infinite if K leaves the range of single precision.
     """
     return np.where((pull > SINGLE_LEAST) & (pull < SINGLE_MOST), SINGLE_ERROR * pull, np.inf)
-
-
-def certificate(task: Task) -> float:
-    """What a certificate of collapse costs, in products of a dense K: measured, n = 2 to 400, within a factor of two.
-
-    0 if the task asks for one whenever all blocks slip.
-    """
-    return 0.0 if task.certify else 2500.0 + 120.0 * task.system.n

@@ -13,10 +13,10 @@ from stickslip.sim.engines import course
 from stickslip.sim.engines.course import Buffers, Events
 from stickslip.sim.engines.sigmoid_law import sign_of_number
 from stickslip.sim.engines.waveform.collocation import view
-from stickslip.sim.engines.waveform.layout import Blocks, Exact, Model, Span, Workspace, blocks
+from stickslip.sim.engines.waveform.layout import Blocks, Exact, Model, Run, Span, Workspace, blocks
 from stickslip.sim.engines.waveform.pieces import slip_at
 from stickslip.sim.kernels.compile import inner
-from stickslip.sim.numerics.arguments import Floats, Ints
+from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import copy, room
 from stickslip.sim.numerics.lanes import WIDTH
 from stickslip.sim.numerics.radau import ALL_NODES, ALL_TO_POWERS, BARYCENTRIC, NODES, STAGES, TO_BERNSTEIN, WEIGHTS
@@ -274,20 +274,12 @@ def _next(events: Events, first: int, n_recorded: int, k: int) -> int:
 
 
 @inner
-def note_all_stuck(
-    model: Model,
-    work: Workspace,
-    n_substeps: int,
-    span: Span,
-    first: int,
-    n_recorded: int,
-    events: Events,
-    counters: Ints,
-) -> None:
+def note_all_stuck(run: Run, n_substeps: int, span: Span, first: int, n_recorded: int, events: Events) -> None:
     """Record where the blocks are when all come to stick, or one leaves, at the events of a macro step from `first`.
 
     The modes before the step become those after it.
     """
+    model, work, counters = run.model, run.work, run.state.counters
     mode, n, count = work.modes_before, len(work.is_split), 0
     for i in range(n):
         count += mode[i] == 0

@@ -7,15 +7,17 @@ from __future__ import annotations
 
 from functools import lru_cache
 from threading import get_ident
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.engines.course import Buffers, by_run
 from stickslip.sim.engines.forcing import Forcing
+from stickslip.sim.engines.stacks import Stack
+from stickslip.sim.engines.waveform.control import Control
 from stickslip.sim.engines.waveform.matrices import Matrix
-from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.arguments import Floats, Ints
 from stickslip.sim.numerics.lanes import WIDTH
 from stickslip.sim.numerics.panels import HEIGHT, SINGLE_HEIGHT
 from stickslip.sim.numerics.radau import STAGES
@@ -239,6 +241,11 @@ class Workspace(NamedTuple):
         return common._replace(table=table, shared=of_stack, modes=modes, next_h=np.empty((m, n)))
 
 
+#: Some runs as a stack, and one of them.
+Runs: TypeAlias = Stack[Model, Workspace, Control[Floats], Ints]
+Run: TypeAlias = Stack[Model, Workspace, Control[float], int]
+
+
 @lru_cache(maxsize=8)
 def _workspace(n: int, width: int, has_forcing: bool, most: int, is_exact: bool, thread: int) -> Workspace:
     """What runs of a thread share: for a small system it takes longer to make than a run."""
@@ -246,6 +253,8 @@ def _workspace(n: int, width: int, has_forcing: bool, most: int, is_exact: bool,
     (block, order), (x, slope, braked, share) = np.empty((2, most_changes), np.int64), np.empty((4, most_changes))
     (of_substep, after), (start, length, z) = np.empty((2, most), np.int64), np.empty((3, most))
     wide, none = -(-n // SINGLE_HEIGHT) * SINGLE_HEIGHT, np.empty((0, 0))
+    count, modes, series = np.zeros(1, np.int64), np.empty(most_changes, np.int8), np.empty((most_changes, ORDER + 1))
+    after_repeated, length_repeated = np.empty(most_repeated, np.int64), np.empty(most_repeated)
     return Workspace(
         table=none,
         shared=none,
@@ -265,20 +274,8 @@ def _workspace(n: int, width: int, has_forcing: bool, most: int, is_exact: bool,
         end_mode=np.empty(n),
         begins=np.empty(n, np.int64),
         substeps=Substeps(of_substep, after, start, length, z, np.empty((most_repeated, STAGES + 1))),
-        repeated=Repeated(
-            np.empty(most_repeated, np.int64), np.empty(most_repeated), np.empty((most_repeated, STAGES + 1))
-        ),
-        changes=Changes(
-            x,
-            block,
-            np.empty(most_changes, np.int8),
-            slope,
-            braked,
-            np.zeros(1, np.int64),
-            np.empty((most_changes, ORDER + 1)),
-            order,
-            share,
-        ),
+        repeated=Repeated(after_repeated, length_repeated, np.empty((most_repeated, STAGES + 1))),
+        changes=Changes(x, block, modes, slope, braked, count, series, order, share),
         there=Buffers(np.empty(1), np.empty((1, n)), np.empty((1, n))),
     )
 

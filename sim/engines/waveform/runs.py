@@ -22,21 +22,13 @@ class WaveformRuns(Several):
     """Runs by macro steps; a subclass fills in its law. Arrays are by task and block, or task, definition and block.
 
     `tables` are those of `tables_of`, with the rows of a smooth law; they are copied, and filled in with the start.
-
-    Attributes
-    ----------
-    block : Blocks
-        At the start; u and F are kept as if they had been constant before.
-    models : Model
-    work : Workspace
-    safety, longest : float
-        As of `Control`.
     """
 
+    block: Blocks  #: at the start; u and F are kept as if they had been constant before
     models: Model
     work: Workspace
-    safety: float
-    longest: float
+    safety: float  #: as of `Control`
+    longest: float  #: as of `Control`
 
     def __init__(self, tasks: Sequence[Task], tables: Floats) -> None:
         self.tasks, self.tables = tasks, tables.copy()

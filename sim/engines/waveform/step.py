@@ -31,7 +31,7 @@ from stickslip.sim.engines.waveform.control import (
     single_limit,
 )
 from stickslip.sim.engines.waveform.events import note_all_stuck, sample, step_events, until
-from stickslip.sim.engines.waveform.layout import Blocks, Exact, Model, Shared, Span, Workspace, blocks, shared
+from stickslip.sim.engines.waveform.layout import Blocks, Exact, Model, Run, Shared, Span, Workspace, blocks, shared
 from stickslip.sim.engines.waveform.matrices import Matrix
 from stickslip.sim.engines.waveform.pieces import record_changes, solve_exactly
 from stickslip.sim.engines.waveform.substeps import keep_substeps, probe_blocks, solve_blocks
@@ -218,19 +218,13 @@ def _probe_blocks(model: Model, exact: Exact | None, work: Workspace, n_split: i
 
 @inner
 def _step_events(
-    model: Model,
-    exact: Exact | None,
-    work: Workspace,
-    clock: Floats,
-    solution: Solution,
-    span: Span,
-    events: Events,
-    n_recorded: int,
+    run: Run, exact: Exact | None, solution: Solution, span: Span, events: Events, n_recorded: int
 ) -> int:
     """By the law: see `events.step_events`. Under the set-valued law the error of w goes on."""
     if exact is None:
-        return step_events(model, work, solution.n_substeps, span, events, n_recorded)
+        return step_events(run.model, run.work, solution.n_substeps, span, events, n_recorded)
     else:
+        work, clock = run.work, run.state.clock
         error = limits.AT_END * (1.0 + solution.tail) * shared(work.shared).atol[0]
         # they have no common sign
         clock[course.ERROR] = math.hypot(clock[course.ERROR] / (1.0 + exact.decay * span.length), error)
@@ -333,18 +327,14 @@ def _blank() -> Window:
 
 
 @inner
-def _open(
-    model: Model, work: Workspace, goal: Control[float], state: State, window: Window, remaining: float
-) -> Window:
-    return Window(next_step(goal, state.clock), window.may_grow)
+def _open(run: Run, window: Window, remaining: float) -> Window:
+    return Window(next_step(run.goal, run.state.clock), window.may_grow)
 
 
 @inner
-def _note(
-    model: Model, work: Workspace, goal: Control[float], state: State, events: Events, n_recorded: int
-) -> tuple[int, bool]:
+def _note(run: Run, events: Events, n_recorded: int) -> tuple[int, bool]:
     """Whether all blocks slip in one direction; a macro step records its events itself."""
-    mode = state.mode
+    mode = run.state.mode
     same = mode[0] != 0
     for i in range(len(mode)):
         same = same and mode[i] == mode[0]
@@ -352,14 +342,15 @@ def _note(
 
 
 @inner
-def _at(model: Model, work: Workspace, goal: Control[float], state: State, window: Window, t: float) -> None:
-    counters = state.counters
-    counters[course.N_SAMPLED] = sample(model, work, 0, Span(t, 1.0, t), state.samples, counters[course.N_SAMPLED])
+def _at(run: Run, window: Window, t: float) -> None:
+    model, work, samples, counters = run.model, run.work, run.state.samples, run.state.counters
+    counters[course.N_SAMPLED] = sample(model, work, 0, Span(t, 1.0, t), samples, counters[course.N_SAMPLED])
 
 
 @inner
-def _enter(model: Model, work: Workspace, state: State) -> None:
+def _enter(run: Run) -> None:
     """u is continuous, and F jumps where the slopes of belt speeds change; F + g is kept in the new frame."""
+    model, work, state = run.model, run.work, run.state
     block, table, clock, atol = blocks(work.table), model.forcing.table, state.clock, shared(work.shared).atol[0]
     most = largest(table[JUMP])
     step = _first_step(atol, most)
@@ -378,17 +369,10 @@ def _enter(model: Model, work: Workspace, state: State) -> None:
 
 @inner
 def _carry(
-    model: Model,
-    work: Workspace,
-    goal: Control[float],
-    state: State,
-    window: Window,
-    is_after_event: bool,
-    precheck: Precheck,
-    events: Events,
-    n_recorded: int,
+    run: Run, window: Window, is_after_event: bool, precheck: Precheck, events: Events, n_recorded: int
 ) -> tuple[Window, int, bool]:
     """Take a macro step, if it can be solved; see `frame.Way`."""
+    model, work, goal, state = run.model, run.work, run.goal, run.state
     clock, counters, t, h = state.clock, state.counters, state.clock[course.TIME], window.h
     _predict_step(model, work, clock, h)
     solution = _solve_waveform(model, work, goal, clock, counters, h)
@@ -399,10 +383,10 @@ def _carry(
     counters[course.N_STEPS] += 1
     end, lacking = course.later(t, clock[course.LACKING], h, goal.t_end)
     span, first_event, n_substeps = Span(t, h, end), n_recorded, solution.n_substeps
-    n_recorded = _step_events(model, model.exact, work, clock, solution, span, events, n_recorded)
+    n_recorded = _step_events(run, model.exact, solution, span, events, n_recorded)
     if goal.instant >= 0.0:
         n_recorded = until(goal.instant, first_event, n_recorded, events)
-    note_all_stuck(model, work, n_substeps, span, first_event, n_recorded, events, counters)
+    note_all_stuck(run, n_substeps, span, first_event, n_recorded, events)
     if goal.instant < 0.0:
         n_sampled = counters[course.N_SAMPLED]
         counters[course.N_SAMPLED] = sample(model, work, n_substeps, span, state.samples, n_sampled)

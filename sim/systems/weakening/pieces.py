@@ -33,22 +33,13 @@ _AT_BETWEEN = np.vander(_BETWEEN, N_TERMS, increasing=True)
 
 
 class Pieces(NamedTuple):
-    """A curve of x >= 0, by m polynomials of x - centre.
+    """A curve of x >= 0, by m polynomials of x - centre."""
 
-    Attributes
-    ----------
-    places : float64, shape (4, m)
-        The x from which a polynomial is the curve, up to the next, of the first 0; those between which it is the
-        curve to its error, which are beyond its piece where the curve is smooth; and its centre.
-    terms : float64, shape (m, 12)
-        By powers.
-    error : float
-        Of the curve, over its size.
-    """
-
+    #: The x from which a polynomial is the curve, up to the next, of the first 0; those between which it is the curve
+    #: to its error, which are beyond its piece where the curve is smooth; and its centre. Shape (4, m).
     places: Floats
-    terms: Floats
-    error: float
+    terms: Floats  #: by powers, shape (m, 12)
+    error: float  #: of the curve, over its size
 
     @property
     def start(self) -> Floats:
