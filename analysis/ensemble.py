@@ -299,6 +299,11 @@ class Study:
         return {*QUANTITIES} - ({"gamma"} if self.data.episodes is not None else set())
 
     @property
+    def seeks_proofs(self) -> bool:
+        """Whether a proof that no block sticks again was sought in each run whose blocks all slip."""
+        return "t_collapse" in self.data.table.own
+
+    @property
     def unit(self) -> str:
         """The kind of unit that most groups have."""
         return Counter(group.unit for group in self.groups).most_common(1)[0][0]

@@ -19,7 +19,7 @@ class Code(Enum):
     SETTLED = 2, "{n:,} of {of:,} runs ended in steady sliding; {what} is of the others."
     NOT_MOVING = 2, "{n:,} of {of:,} runs are not in motion; {what} is of the others."
     MISFIT = 3, "A damped oscillator misses the slow spectrum{where} (p-value {p}{among}): period and Q are rough."
-    UNCERTIFIED = 2, "{n:,} of {of:,} runs slide but may stick again: there is no proof that no block does."
+    UNCERTIFIED = 2, "{n:,} of {of:,} runs slide but may stick again: {why}."
     WITHOUT = 2, "{n:,} of {of:,} runs have no {what} and are left out there: {why}."
     WITHHELD = 2, "{what} is not given at {n} of {of} points: {why}."
     TEMPORARY = 2, "{n:,} of {of:,} runs slide but will stick again: their sliding is unstable."
@@ -64,6 +64,12 @@ class Alert:
 
     def __str__(self) -> str:
         return self.code.words.format(**dict(self.numbers))
+
+
+def uncertified(n: int, of: int, is_sought: bool) -> Alert:
+    """The alert that runs slide without a proof that they go on so; whether one was sought for each."""
+    why = "a proof that no block does was sought only where it saves time (set collapse = true under [record])"
+    return Alert.of(Code.UNCERTIFIED, n=n, of=of, why="there is no proof that no block does" if is_sought else why)
 
 
 def drift(what: str, settings: Sequence[str], t_burn: float) -> Alert:

@@ -453,6 +453,8 @@ class Regime:
         Of the first outcome: the share of such things that have it; without an interval of few units.
     where : Place
         Which settings: "belt_speed = 5 to 7".
+    is_of_each : bool
+        Whether the share is that at each of several settings.
     """
 
     key: str
@@ -463,6 +465,7 @@ class Regime:
     share: Estimate = field(default_factory=Estimate)
     where: Place = EVERYWHERE
     basis: Basis | None = None
+    is_of_each: bool = False
 
 
 class Bound(StrEnum):

@@ -194,7 +194,7 @@ def _share(share: Share, is_brief: bool) -> Clauses:
     return f"{words}, consistent with {comparison.other}", f"the difference is {_signed(difference, Form.SHARE)}"
 
 
-def _amount(share: Estimate, n: int | None, things: str, basis: Basis | None = None) -> str:
+def _amount(share: Estimate, n: int | None, things: str, basis: Basis | None = None, place: str = "") -> str:
     """How many of n things: "80% (38 to 96%) of 5 runs", "all 40 runs of 20 systems (at least 84%)"."""
     count = f"{n:,} {things}" if n is not None and n > 1 else things
     if n is not None and basis is not None and 1 < basis.n < n and things != f"{basis.unit}s":
@@ -203,7 +203,7 @@ def _amount(share: Estimate, n: int | None, things: str, basis: Basis | None = N
         return f"{with_interval(share, Form.SHARE)} of {count}"
     bound, end = ("at least", share.low) if share.value else ("at most", share.high)
     digits = decimals(share, Form.SHARE)
-    bracket = "" if end in (None, share.value) else f" ({bound} {number(end, Form.SHARE, digits)})"
+    bracket = "" if end in (None, share.value) else f" ({bound} {number(end, Form.SHARE, digits)}{place})"
     return ("all " if share.value else f"none of {'the ' * (count == things)}") + count + bracket
 
 
@@ -599,7 +599,7 @@ def _regime(regime: Regime) -> Clauses:
         return (f"{head}{things} {verb}",)
     amount = f"{regime.n:,} of {regime.of:,} {things}"
     if share.low is not None or regime.n == regime.of:
-        amount = _amount(share, regime.of, things)
+        amount = _amount(share, regime.of, things, place=" at each" * regime.is_of_each)
     return f"{head}{amount} {verb}", *((f"the others {listed(others, 'or')}",) if others else ())
 
 

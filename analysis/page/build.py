@@ -237,7 +237,8 @@ def _provenance(
         *(f"Code beside the scene: {file} (sha256 {digest})." for file, digest in sources.items()),
         "Findings: report/findings.json. Tables: report/*.parquet. Figures: report/figures/.",
     ]
-    table = groups.dropna(axis="columns", how="all")
+    # changed copies are in no group
+    table = groups.drop(columns="perturbation_size", errors="ignore").dropna(axis="columns", how="all")
     table = table.assign(group=[str(place) or label for label, place in places(study).items()])
     alike = [name for name in table if name not in ("group", *COUNTS) and len({*table[name]}) == 1]
     if alike:

@@ -118,7 +118,7 @@ class Part(NamedTuple):
     def section(self, on_first: Sequence[Panel], is_said: bool, is_shown: bool) -> Section:
         """Folded, without what the first screen says and shows."""
         answer, table, tables = self.answer, findings_table(self.rows, FINDINGS), self.answer.tables
-        files = ", ".join(f"report/{name}.parquet" for name in tables)
+        files = ", ".join(f"report/{name}.parquet" for name, rows in tables.items() if len(rows))
         is_for_readers = ":" in self.key  # a question beside a scene
         later = [*zip(self.sentences, answer.findings, strict=True)][len(self.lead) :]
         # of a law, and of what is lacking, rows do not say all

@@ -140,7 +140,7 @@ def test_where_no_run_is_in_motion_that_is_the_reason(planted):
     """However many systems there are."""
     members, series = planted.ensemble({"coulomb": 0.69, "sigmoid": 0.69}, 12)
     study = Study(Data(members.assign(outcome="collapsed"), series), SETTINGS)
-    assert answer(study).findings == [Lack("how far the engines differ", Reason.NO_MOTION)]
+    assert answer(study).findings == [Lack("how far statistics of motion differ between engines", Reason.NO_MOTION)]
 
 
 def test_the_axis_holds_all_differences_and_the_interval_of_one_may_go_on_beyond():

@@ -83,7 +83,7 @@ def answer(study: Study) -> Answer | None:
             if not in_figure:
                 in_figure, title = steps_beside, f"differences from {reference}"
     figures = forest(study, in_figure, title)
-    lack = few("how far the engines differ", study.groups)
+    lack = few("how far statistics of motion differ between engines", study.groups)
     criteria = {str(pair.group.key["stick"]) for pair in pairs if pair.threshold is not None}
     method = _METHOD + "".join(_CRITERIA.get(stick, "") for stick in sorted(criteria)[:1])
     findings = [*lead, *levels] if lead else [lack]

@@ -289,7 +289,7 @@ def _survival(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> Pictur
     ends += ["where motion grows without limit"] * (attractors.ESCAPING in kinds)
     see = f"Curves fall {listed(ends).removesuffix(',')}. " if ends else ""
     count = f" {len(chosen)} of {len(settings)} settings are drawn." * (len(chosen) < len(settings))
-    caption = f"{see}Share of runs that still stick{level}.{count}"
+    caption = f"{see}Share of runs still going{level}.{count}"
     colours = hues(study, [chosen[same[0]].groups[0].label for same in alike])
     return Picture(partial(survival_curves, named_curves, colours, t_end, study.settings.units), caption)
 
@@ -311,7 +311,7 @@ def survival_curves(
         ax.step(t, share, where="post", color=hue, label=signs(label))
         if _has_band(curve):
             ax.fill_between(t, low, high, share < 1.0, step="post", color=hue, alpha=0.15, linewidth=0)
-    ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), ylabel="share of runs that still stick")
+    ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), ylabel="share of runs still going")
     ax.set_xlabel(units.label("time t", "time"))
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
     if len(curves) > 1:

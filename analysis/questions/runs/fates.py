@@ -20,7 +20,7 @@ from stickslip.analysis.answer import Answer, Picture, Question, places
 from stickslip.analysis.by_key import by_key
 from stickslip.analysis.catalogues import fineness
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.alerts import Alert, Code, drift
+from stickslip.analysis.findings.alerts import Alert, Code, drift, uncertified
 from stickslip.analysis.findings.finding import (
     Alike,
     Basis,
@@ -306,13 +306,13 @@ def _stability(study: Study, settings: Sequence[Setting]) -> Iterator[Share]:
     """What runs do whose state in which all blocks slip is linearly stable, and those of which it is unstable."""
     growth_rates = study.data.table.own["growth_rate"].to_numpy(np.float64)
     for setting in settings:
-        runs, rates = setting.runs, growth_rates[setting.runs.rows]
+        rates = growth_rates[setting.runs.rows]
         unstable = np.asarray(is_unstable(rates))
         for state, chosen, kind in (
             ("stable", ~np.isnan(rates) & ~unstable, SLIDING),
             ("unstable", unstable, ESCAPING),
         ):
-            if chosen.any() and runs.n_of(kind):
+            if chosen.any() and any(other.runs.n_of(kind) for other in settings):
                 name, key = f"runs with a linearly {state} all-slip state", f"{state}_{kind}"
                 yield _share_among(study, setting, chosen, kind, (key, name, PREDICATES[kind]))
 
@@ -320,9 +320,10 @@ def _stability(study: Study, settings: Sequence[Setting]) -> Iterator[Share]:
 def _proofs(study: Study, settings: Sequence[Setting]) -> Iterator[Share]:
     """How many of the sliding runs are proved to go on so, which no setting says where all are.
 
-    Those without a proof are no random part of all, and engines differ in how often one succeeds.
+    Where a proof is sought only if it saves time, that says nothing of the runs. Those without a proof are no random
+    part of all, and engines differ in how often one succeeds.
     """
-    if not all(setting.is_certified for setting in settings):
+    if study.seeks_proofs and not all(setting.is_certified for setting in settings):
         for setting in settings:
             if (slides := setting.runs.said == SLIDING).any():
                 yield _share_among(study, setting, slides, SLIDING, PROVED)
@@ -368,7 +369,7 @@ def _alerts(study: Study, grid: Grid, ends: Sequence[Ends], short: Sequence[Grou
         (n_failed, Alert.of(Code.FAILED, n=n_failed, of=len(study.data.table.unchanged))),
         (short, drifting),
         (n_open > MOST_OPEN * n_recorded, Alert.of(Code.UNDECIDED, n=n_open, of=n_recorded)),
-        (n_quiet, Alert.of(Code.UNCERTIFIED, n=n_quiet, of=n_runs)),
+        (n_quiet, uncertified(n_quiet, n_runs, study.seeks_proofs)),
         (n_lull, Alert.of(Code.TEMPORARY, n=n_lull, of=n_runs)),
     )
     alerts = [alert for is_raised, alert in raised if is_raised]

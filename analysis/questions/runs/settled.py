@@ -414,11 +414,12 @@ def _regime(study: Study, where: Place, settings: Sequence[Setting], outcomes: S
     in_order = sorted(outcomes, key=lambda outcome: "{}" in _words(outcome, settings))
     has = (runs.said == in_order[0].kind) & ((runs.exits == in_order[0].exits) | (in_order[0].exits == 0))
     n_units = max(setting.n_units for setting in settings)
-    share = Estimate(float(has.mean()))
+    share, is_of_each = Estimate(float(has.mean())), False
     if n_units >= LEAST_UNITS:  # settings that share their draws count once
         share = share_of(has, untold, runs.units, level)
         if has.all():
+            is_of_each = len(settings) > 1
             share = Estimate(1.0, wilson(n_units, n_units, level)[0], 1.0)
     words = predicates(study, [*in_order, *[Outcome(attractors.UNDECIDED)] * bool(untold.any())], settings)
     basis = Basis(n_units, unit(study, settings))
-    return Regime(in_order[0].kind, things(basis), words, int(has.sum()), len(has), share, where, basis)
+    return Regime(in_order[0].kind, things(basis), words, int(has.sum()), len(has), share, where, basis, is_of_each)

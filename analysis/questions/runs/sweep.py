@@ -20,7 +20,7 @@ from stickslip.analysis.by_key import by_key
 from stickslip.analysis.catalogues import bent, read
 from stickslip.analysis.contrast import Contrast, contrast, course
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.alerts import Alert, Code
+from stickslip.analysis.findings.alerts import Alert, Code, uncertified
 from stickslip.analysis.findings.finding import Basis, Finding, KeyChange, Lack, Level, Reason, Scale, Threshold, Turn
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital
@@ -75,7 +75,7 @@ def answer(study: Study) -> Answer | None:
     tables = {"changes": table_of(steps), "sweep_measures": _table(grid)}
     findings = [*lead, *further] if lead else [_lack(grid, steps)]
     method = _method(grid, steps, unit)
-    alerts = _alerts(grid) + (bent(study.once(read)) if order[0] == B else [])
+    alerts = _alerts(study, grid) + (bent(study.once(read)) if order[0] == B else [])
     return Answer(findings, len(lead), alerts, method, tables=tables, figures=pictures)
 
 
@@ -342,12 +342,12 @@ def _all_or_none(point: Point) -> bool | None:
 # ---------------------------------------------------------------------------------------------------- what is left
 
 
-def _alerts(grid: Grid) -> list[Alert]:
+def _alerts(study: Study, grid: Grid) -> list[Alert]:
     """Runs of which it is not known whether they stick again, runs without a value, and values that are withheld."""
     points, alerts, withheld = grid.every, list[Alert](), list[Alert]()
     if n_quiet := sum(point.fates[QUIET] for point in points):
         n_runs = sum(point.fates[name] for point in points for name in WATCHED)
-        alerts.append(Alert.of(Code.UNCERTIFIED, n=n_quiet, of=n_runs))
+        alerts.append(uncertified(n_quiet, n_runs, study.seeks_proofs))
     gaps: dict[tuple[tuple[str, str], ...], list[str]] = {}
     for measure in grid.asked:
         values = [point.measured[measure.name] for point in points]

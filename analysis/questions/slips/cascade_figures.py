@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import takewhile
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
+from stickslip.analysis.by_key import by_key
 from stickslip.analysis.findings.numbers import signs
+from stickslip.analysis.findings.words import listed
 from stickslip.analysis.stats.estimates import Estimate, with_ends
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, bars, panel, size_axis
 from stickslip.pipeline.design.units import DIMENSIONLESS, Units
@@ -107,12 +108,29 @@ def shown(laws: Mapping[str, Sequence[Size]]) -> dict[str, list[Size]]:
 
 
 def departure(sizes: Sequence[Size], of_which: str) -> str:
-    """At which of the largest sizes drawn all shares lie below the fit, and whether two-state blocks have them."""
-    tail = [*takewhile(lambda size: (size.share.high or 1.0) < (size.fit or 0.0), reversed(sizes))]
-    alike = all((size.share.low or 0.0) <= (size.pool or 0.0) <= (size.share.high or 1.0) for size in tail)
+    """At which of the sizes drawn shares lie below and above the fit, if two or more do.
+
+    And whether two-state blocks have such shares. A share alone lies there by chance.
+    """
+    below = [size for size in sizes if size.fit is not None and (size.share.high or 1.0) < size.fit]
+    above = [size for size in sizes if size.fit is not None and (size.share.low or 0.0) > size.fit]
+    if len(below) + len(above) < 2:
+        return ""
+    fit = iter(("the fitted geometric distribution", "it"))
+    sides = [f"{side} {next(fit)} at {_at(off)}" for side, off in (("below", below), ("above", above)) if off]
+    alike = all((size.share.low or 0.0) <= (size.pool or 0.0) <= (size.share.high or 1.0) for size in below + above)
     likeness = ", as those of independent two-state blocks" * alike
-    words = f"shares{of_which} lie below the fitted geometric distribution"
-    return f"At s = {tail[-1].size} to {tail[0].size} {words}{likeness}. " if len(tail) > 1 else ""
+    return f"Shares{of_which} lie {' and '.join(sides)}{likeness}. "
+
+
+def _at(sizes: Sequence[Size]) -> str:
+    """Sizes in words, three neighbours or more by the first and the last: "s = 1, 4 and 7 to 9"."""
+    stretches = by_key(enumerate(size.size for size in sizes), lambda pair: pair[1] - pair[0]).values()
+    names = list[str]()
+    for stretch in stretches:
+        numbers = [f"{size}" for _, size in stretch]
+        names += numbers if len(numbers) < 3 else [f"{numbers[0]} to {numbers[-1]}"]
+    return f"s = {listed(names)}"
 
 
 def _size_law(

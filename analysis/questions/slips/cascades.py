@@ -16,7 +16,7 @@ import numpy as np
 
 from stickslip.analysis.answer import Answer, Picture, Question, Recipe, lack, places
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.alerts import Alert, Code, drift
+from stickslip.analysis.findings.alerts import Alert, Code, drift, uncertified
 from stickslip.analysis.findings.finding import (
     Basis,
     Comparison,
@@ -213,7 +213,7 @@ def answer(study: Study) -> Answer:
     return Answer(
         findings=[*([] if drifting is None else [drifting]), *leading, *findings],
         n_lead=min(3, len(leading) + (drifting is not None)),
-        alerts=_alerts(study, lead, [entry.group for entry in with_rate]),
+        alerts=_alerts(study, lead),
         tables={**tables, **definitions.tables},
         figures={**_figures(study, lead, with_rate, sizes), **definitions.figures},
         method=_method(study),
@@ -360,18 +360,18 @@ def of_systems(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return rate(over_parts)[:, 0], np.sqrt((PARTS - 1) / PARTS * np.sum(off**2, axis=1))
 
 
-def _alerts(study: Study, lead: Sums, known: Sequence[Group]) -> list[Alert]:
-    """How runs of the lead ended that have no cascades, of which groups survivors are known, where n_stick drifts."""
+def _alerts(study: Study, lead: Sums) -> list[Alert]:
+    """How runs of the lead ended that have no cascades, where motion grew without limit, where n_stick drifts."""
     level, ends, n_runs = study.settings.confidence, lead.group.fates, len(lead.group)
     n = {fate: int(np.count_nonzero(ends == fate)) for fate in (fates.COLLAPSED, fates.QUIET)}
-    grown = [group for group in known if fates.DIVERGED in group.fates]
+    grown = [group for group in study.groups if fates.DIVERGED in group.fates]
     n_grown = sum(int(np.count_nonzero(group.fates == fates.DIVERGED)) for group in grown)
     which = grown[0].label if len(grown) == 1 else f"{len(grown)} settings"
     where = f" at {which}" * (len(study.groups) > 1)
     alerts = [
         Alert.of(Code.SETTLED, n=n[fates.COLLAPSED], of=n_runs, what="the law of cascade sizes"),
         Alert.of(Code.DIVERGED, n=n_grown, of=sum(map(len, grown)), where=where),
-        Alert.of(Code.UNCERTIFIED, n=n[fates.QUIET], of=n_runs),
+        uncertified(n[fates.QUIET], n_runs, study.seeks_proofs),
     ]
     raised = [alert for alert in alerts if dict(alert.numbers)["n"]]
     if any(group.basis(level).code == enough.DRIFTS for group in study.groups):
