@@ -36,6 +36,7 @@ _VECTORS = 2000  # more marks than this are a bitmap inside the SVG
 _MOST_TICKS = 12  # of a map
 _MOST_NAMES, _NAME = 40, 0.16  # bars with names of their own; inches that each takes
 _SHORT = 24  # of names in a legend of two columns
+_LONGEST = 60  # name of a curve
 
 
 class Look(NamedTuple):
@@ -275,11 +276,12 @@ def _survival(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> Pictur
         t, share, _, _ = curves[chosen[k].where]
         return t.tobytes(), share.tobytes()
 
+    def name(same: Sequence[int]) -> str:
+        words = f"{key} = " * bool(key) + listed([values[k] for k in same]) + tail
+        return words if len(words) <= _LONGEST else f"{len(same)} {f'values of {key}' if key else 'settings'}"
+
     alike = [*by_key(range(len(chosen)), course).values()]
-    named_curves = {
-        f"{key} = " * bool(key) + listed([values[k] for k in same]) + tail: curves[chosen[same[0]].where]
-        for same in alike
-    }
+    named_curves = {name(same): curves[chosen[same[0]].where] for same in alike}
     t_end = max(setting.t_end for setting in settings)
     level = f"; bands: {100 * study.settings.confidence:g}% intervals, of curves that end between 0 and 100%"
     level *= any(map(_has_band, named_curves.values()))
