@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -144,6 +145,15 @@ def test_coupling_makes_the_planted_part_of_the_excess(planted, rng):
     assert [level.comparison.other for level in levels(coupled.findings[1])] == [cascades.SHIFTED, cascades.TWO_STATE]
     assert row["gamma_pool"] == pytest.approx(pool.gamma(20, 6.0), abs=0.01)
     assert alone.tables["law"]["over_shifted"][0] == pytest.approx(0.0, abs=0.02)
+
+
+def test_two_state_blocks_of_which_all_stick_have_no_rate():
+    """Of two systems one has a block that slips: without it nothing does."""
+    rows = np.zeros((2, 8))
+    rows[:, 6:] = [[90.0, 10.0], [100.0, 10.0]]
+    rate = over_matrices(partial(cascades.of_pool, 10), rows, 0.95)
+    assert rate.value == pytest.approx(pool.gamma(10, 9.5))
+    assert rate.reason == "one left out: all blocks always stick, or always slip"
 
 
 def test_too_little_data_has_reasons(planted, settings, rng):

@@ -36,7 +36,7 @@ _VECTORS = 2000  # more marks than this are a bitmap inside the SVG
 _MOST_TICKS = 12  # of a map
 _MOST_NAMES, _NAME = 40, 0.16  # bars with names of their own; inches that each takes
 _SHORT = 24  # of names in a legend of two columns
-_LONGEST = 60  # name of a curve
+_LONGEST = 60  # of the names of what one curve stands for
 
 
 class Look(NamedTuple):
@@ -277,8 +277,10 @@ def _survival(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> Pictur
         return t.tobytes(), share.tobytes()
 
     def name(same: Sequence[int]) -> str:
-        words = f"{key} = " * bool(key) + listed([values[k] for k in same]) + tail
-        return words if len(words) <= _LONGEST else f"{len(same)} {f'values of {key}' if key else 'settings'}"
+        names = [values[k] for k in same]
+        if len(listed(names)) > _LONGEST:
+            names = [names[0], f"{len(names) - 1} others"]
+        return f"{key} = " * bool(key) + listed(names) + tail
 
     alike = [*by_key(range(len(chosen)), course).values()]
     named_curves = {name(same): curves[chosen[same[0]].where] for same in alike}

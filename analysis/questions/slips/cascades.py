@@ -147,8 +147,11 @@ def over_shifted(rows: np.ndarray) -> np.ndarray:
 
 
 def of_pool(n: int, rows: np.ndarray) -> np.ndarray:
-    """Decay rate of n independent two-state blocks of which as many stick."""
-    return np.array([pool.gamma(n, mean) for mean in ratio(rows[:, 6:])])
+    """Decay rate of n independent two-state blocks of which as many stick; undefined if all or none always stick."""
+    means = ratio(rows[:, 6:])
+    if not all(pool.is_one(n, mean) for mean in means):
+        raise Undefined("all blocks always stick, or always slip")
+    return np.array([pool.gamma(n, mean) for mean in means])
 
 
 def variance(rows: np.ndarray) -> np.ndarray:
