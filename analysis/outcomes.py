@@ -18,7 +18,7 @@ from stickslip.analysis.by_key import by_key
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Form, Outcomes, Scale, Verdict
 from stickslip.analysis.findings.numbers import signs
-from stickslip.analysis.findings.place import EVERYWHERE
+from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.stats.estimates import with_ends
 from stickslip.analysis.steps import Kind, Setting, Step
 from stickslip.analysis.style import GREY, HUES, hues, panel
@@ -28,7 +28,9 @@ _LETTERS = 24  # of a line of a name
 MOST_ROWS = 36  # in one figure
 
 
-def outcomes(other: str, steps: Sequence[Step], unit: str, noun: str, scope: str = "") -> list[Outcomes]:
+def outcomes(
+    other: str, steps: Sequence[Step], unit: str, noun: str, scope: str = "", where: Place = EVERYWHERE
+) -> list[Outcomes]:
     """How settings come out beside a reference: those that differ; and those that agree, with those undecided.
 
     A setting differs if one of its statistics is shown to; else it is equal if all that have a margin, which the
@@ -42,13 +44,17 @@ def outcomes(other: str, steps: Sequence[Step], unit: str, noun: str, scope: str
         alike = [[step for step in steps if by_setting[step.name] == name] for name in names]
         if any(alike):
             best = max(next(filter(None, alike)), key=_size)
-            (where,) = in_words({best.name: ""}, "")
+            (at_largest,) = in_words({best.name: ""}, "")
             further = in_words(by_setting | {best.name: ""}, DIFFERENT) if DIFFERENT in names else ()
             level = replace(best, where=EVERYWHERE).level(other, unit)
             words = {name: in_words(by_setting, name) for name in names}
             if len(alike[0]) == len(steps) and len(words.get(UNDECIDED, ())) > 1:
                 words[UNDECIDED] = (f"any {noun}",)
-            findings.append(Outcomes(other, **words, largest=level, at_largest=where, others=further, scope=scope))
+            findings.append(
+                Outcomes(
+                    other, **words, largest=level, at_largest=at_largest, others=further, scope=scope, where=where
+                )
+            )
     return findings
 
 

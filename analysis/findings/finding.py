@@ -396,6 +396,8 @@ class Outcomes:
         The settings that differ, beside that of the largest difference.
     scope : str
         In what they are compared, where not in all that is recorded: "the number of sticking blocks".
+    where : Place
+        What all of them share, where a page has other settings.
     """
 
     other: str
@@ -406,6 +408,7 @@ class Outcomes:
     at_largest: str = ""
     others: tuple[str, ...] = ()
     scope: str = ""
+    where: Place = EVERYWHERE
 
 
 @dataclass(frozen=True)

@@ -107,7 +107,7 @@ def place_of(finding: Finding) -> Place:
             return finding.whole.where
         case Decided():
             return place_of(finding.finding)
-        case Outcomes() | Lack():
+        case Lack():
             return EVERYWHERE
     return finding.where
 
@@ -119,7 +119,7 @@ def _anywhere(finding: Statement) -> Statement:
             return replace(finding, parameter=replace(finding.parameter, where=EVERYWHERE))
         case Parts():
             return replace(finding, whole=replace(finding.whole, where=EVERYWHERE))
-        case Outcomes() | Lack():
+        case Lack():
             return finding
     return replace(finding, where=EVERYWHERE)
 
@@ -533,8 +533,9 @@ def _outcomes(outcomes: Outcomes, is_brief: bool = False) -> Clauses:
         beside = "" if outcomes.equal else f" from {reference}{scope}"
         n = "" if largest is None or largest.basis is None else f" ({based_on(largest.basis)})"
         words.append(f"no difference{beside} is shown for {listed(outcomes.undecided, 'or')}{n}")
-        if outcomes.equal:
-            return (*words,)
+    words[0] = outcomes.where.head + words[0]
+    if outcomes.equal and outcomes.undecided:
+        return (*words,)
     if is_brief or largest is None or (outcomes.different and largest.difference is not None):
         return (*words,)
     is_elsewhere = outcomes.undecided and outcomes.at_largest not in ("", *outcomes.undecided)

@@ -210,6 +210,8 @@ def test_no_difference_is_said_with_the_number_of_systems_where_intervals_are_wi
     level = Level(SHARE, Estimate(0.25, 0.05, 0.7), comparison=Comparison("exact"), basis=Basis(4))
     wide = Difference(Estimate(0.25, -0.28, 0.7), Scale.ABSOLUTE)
     open_one = Outcomes("exact", undecided=("sigmoid",), largest=replace(level, comparison=Comparison("exact", wide)))
+    there = replace(open_one, where=Place.key("n", "200"))
+    assert sentence(there).startswith("At n = 200, no difference from exact is shown for sigmoid")
     assert sentence(open_one) == (
         "No difference from exact is shown for sigmoid (4 systems); largest difference +25 (\u221228 to +70)"
         " percentage points, in the share of runs in motion."

@@ -63,7 +63,7 @@ def answer(study: Study) -> Answer | None:
         effects = list(_effects(study, copies, where[copies.label], unit))
         has_effects |= bool(effects)
         if judged := [step for step in contrasts if not step.contrast.reason]:
-            lead += outcomes("the unchanged systems", judged, unit, "change")
+            lead += outcomes("the unchanged systems", judged, unit, "change", where=where[copies.label])
             lead += [effect for quantity, effect in effects if quantity == PRIMARY[0]][-1:]
         further += [step.level("the unchanged system", unit) for step in judged]
         further += [effect for _, effect in effects]

@@ -445,7 +445,7 @@ def _figures(
     count = f" {len(curves)} of {len(with_rate)} settings are drawn." * (len(curves) < len(with_rate))
     dotted = " dotted: independent two-state blocks;" * (lead.pool_mean is not None)
     see = cascade_figures.departure(next(iter(cascade_figures.shown(laws).values())), of_which)
-    enlarged = f" slip onsets with no arrest in between: the largest cascade after {burn}, enlarged. "
+    enlarged = f" slip onsets with no arrest in between: the largest cascade of this run after {burn}, enlarged. "
     cascade = f"{largest.size}{enlarged}" if largest else ""
     return {
         "size_law": Picture(
