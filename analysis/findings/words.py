@@ -171,6 +171,11 @@ def listed(names: Sequence[str], last: str = "and") -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}"
 
 
+def by_ends(names: Sequence[str]) -> list[str]:
+    """Names of neighbours, three or more by the first and the last: "4 to 7"."""
+    return [*names] if len(names) < 3 else [f"{names[0]} to {names[-1]}"]
+
+
 def plural(n: int, noun: str) -> str:
     """A number of things: "1 run", "20 systems"."""
     return f"{n:,} {noun}{'s' * (n != 1)}"

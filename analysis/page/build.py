@@ -238,7 +238,7 @@ def _provenance(
         "Findings: report/findings.json. Tables: report/*.parquet. Figures: report/figures/.",
     ]
     # changed copies are in no group
-    table = groups.drop(columns="perturbation_size", errors="ignore").dropna(axis="columns", how="all")
+    table = groups.drop(columns="perturbation_size").dropna(axis="columns", how="all")
     table = table.assign(group=[str(place) or label for label, place in places(study).items()])
     alike = [name for name in table if name not in ("group", *COUNTS) and len({*table[name]}) == 1]
     if alike:

@@ -572,8 +572,7 @@ class _Measure:
         return moves
 
     def _rests_on_the_edge(self, i: int, mine: Stretches, its: Stretches, until: float, error: float) -> bool:
-        """Whether from where the two part a block keeps to its belt, and |F| to a friction there, within an error of
-        z and w.
+        """Whether a block keeps to its belt, and |F| to a friction there, from where the two part, within an error.
 
         It comes to rest there without end: who says that it sticks, or how it swings, is as right as who does not.
         """

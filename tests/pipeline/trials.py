@@ -12,8 +12,9 @@ from stickslip.pipeline.own import files, function, modules, trial
 
 
 def anew(task: Any) -> Any:
-    """In a child: try a function, and keep nothing that was loaded for it but this package, whose kernels know their
-    classes by name.
+    """In a child: try a function, and keep nothing that was loaded for it but this package.
+
+    Its kernels know their classes by name.
     """
     before = set(sys.modules)
     found = trial._try(task)

@@ -305,6 +305,7 @@ def _last_events(group: Group) -> pd.Series:
 def _stability(study: Study, settings: Sequence[Setting]) -> Iterator[Share]:
     """What runs do whose state in which all blocks slip is linearly stable, and those of which it is unstable."""
     growth_rates = study.data.table.own["growth_rate"].to_numpy(np.float64)
+    occurring = {kind for setting in settings for kind in setting.runs.kinds}
     for setting in settings:
         rates = growth_rates[setting.runs.rows]
         unstable = np.asarray(is_unstable(rates))
@@ -312,7 +313,7 @@ def _stability(study: Study, settings: Sequence[Setting]) -> Iterator[Share]:
             ("stable", ~np.isnan(rates) & ~unstable, SLIDING),
             ("unstable", unstable, ESCAPING),
         ):
-            if chosen.any() and any(other.runs.n_of(kind) for other in settings):
+            if chosen.any() and kind in occurring:
                 name, key = f"runs with a linearly {state} all-slip state", f"{state}_{kind}"
                 yield _share_among(study, setting, chosen, kind, (key, name, PREDICATES[kind]))
 

@@ -18,7 +18,7 @@ from stickslip.analysis.by_key import by_key
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Basis, Regime
 from stickslip.analysis.findings.place import Place
-from stickslip.analysis.findings.words import listed, plural
+from stickslip.analysis.findings.words import by_ends, listed, plural
 from stickslip.analysis.grid import axes_of
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import DRAWN, ENGINE_KEYS, noun
@@ -393,18 +393,13 @@ def regimes(
             alone = [(Place.key(axis.name, in_words(setting.at[0])), setting) for setting in settings]
             rows += [(_regime(study, where + line_place, [setting], outcome), [setting]) for where, setting in alone]
             continue
-        texts = [text for stretch in alike_stretches for text in _span(line[stretch])]
+        names = [[in_words(setting.at[0]) for setting in line[stretch]] for stretch in alike_stretches]
+        texts = [text for neighbours in names for text in by_ends(neighbours)]
         where = Place.key(axis.name, listed(texts) if axis.x is None else Amount(listed(texts)))
         if len(alike_stretches) > MOST_STRETCHES:
             where = Place.words(f"at {len(settings)} of {len(line)} values of {axis.name}")
         rows.append((_regime(study, where + line_place, settings, outcome), settings))
     return rows
-
-
-def _span(line: Sequence[Setting]) -> list[str]:
-    """The values of a stretch along the first axis, from three on by its ends."""
-    values = [in_words(setting.at[0]) for setting in line]
-    return values if len(values) < 3 else [f"{values[0]} to {values[-1]}"]
 
 
 def _regime(study: Study, where: Place, settings: Sequence[Setting], outcomes: Sequence[Outcome]) -> Regime:

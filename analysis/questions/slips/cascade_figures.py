@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from stickslip.analysis.by_key import by_key
 from stickslip.analysis.findings.numbers import signs
-from stickslip.analysis.findings.words import listed
+from stickslip.analysis.findings.words import by_ends, listed
 from stickslip.analysis.stats.estimates import Estimate, with_ends
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, bars, panel, size_axis
 from stickslip.pipeline.design.units import DIMENSIONLESS, Units
@@ -126,11 +126,7 @@ def departure(sizes: Sequence[Size], of_which: str) -> str:
 def _at(sizes: Sequence[Size]) -> str:
     """Sizes in words, three neighbours or more by the first and the last: "s = 1, 4 and 7 to 9"."""
     stretches = by_key(enumerate(size.size for size in sizes), lambda pair: pair[1] - pair[0]).values()
-    names = list[str]()
-    for stretch in stretches:
-        numbers = [f"{size}" for _, size in stretch]
-        names += numbers if len(numbers) < 3 else [f"{numbers[0]} to {numbers[-1]}"]
-    return f"s = {listed(names)}"
+    return f"s = {listed([name for stretch in stretches for name in by_ends([f'{size}' for _, size in stretch])])}"
 
 
 def _size_law(
