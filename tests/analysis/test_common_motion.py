@@ -236,18 +236,41 @@ def test_changes_are_those_planted(rng):
         ("belt_speed", "n = 150", 2), ("belt_speed", "n = 175", 2), ("belt_speed", "n = 200", 2),
     ]  # fmt: skip
     changes = scene.changes(lines, "system", 0.95)
-    found = [change for change in changes if change.quantity.key == "period"]
-    assert found[0].difference.verdict is Verdict.LESS
-    assert found[0].difference.estimate.value == pytest.approx(360 / 440 - 1, abs=0.05)
-    assert found[0].keys[0].first == "150"
-    (of_share, *_) = (change.difference for change in changes if change.quantity.key == "share")
-    assert of_share.scale is Scale.ABSOLUTE  # percentage points
-    assert of_share.estimate.value == pytest.approx(360 - 440, abs=20)
-    assert found[0].difference.family.n == 3 * len(lines)
+    along_speed, along_n = (change for change in changes if change.quantity.key == "period")
+    size = (360 / 440 * 508 / 500) ** 0.5 - 1  # an average of logarithms over the settings of the other key
+    assert along_n.difference.estimate.value == pytest.approx(size, abs=0.02)
+    assert along_n.difference.verdict is Verdict.LESS
+    assert along_n.keys[0].first == "150"
+    assert (str(along_n.where), str(along_speed.where)) == (
+        "averaged over belt_speed = -0.1 and -0.2", "averaged over n = 150, 175 and 200",
+    )  # fmt: skip
+    assert (along_n.before.value, along_n.after.value) == pytest.approx(
+        [(a * b) ** 0.5 for a, b in ((440, 500), (360, 508))], rel=0.02
+    )
+    (_, of_share) = (change for change in changes if change.quantity.key == "share")
+    assert of_share.difference.scale is Scale.ABSOLUTE  # percentage points
+    assert of_share.difference.estimate.value == pytest.approx((360 - 440 + 508 - 500) / 2, abs=20)
+    assert along_n.difference.family.n == len(scene.NUMBERS) * 2
     # each is of the systems that give both of its ends
     *groups, last = lines[0].groups
     fewer = lines[0]._replace(groups=[*groups, without(last, 9)])
-    assert [change.basis.n for change in scene.changes([fewer, lines[1]], "system", 0.95)] == 3 * [11, 20]
+    assert [change.basis.n for change in scene.changes([fewer, lines[1]], "system", 0.95)] == 3 * [11]
+    # lines with other ends are no part of the average
+    shorter = lines[1]._replace(groups=lines[1].groups[1:])
+    of_each = scene.changes([lines[0], shorter], "system", 0.95)[:2]
+    assert [str(change.where) for change in of_each] == ["belt_speed = -0.1", "belt_speed = -0.2"]
+
+
+def test_intervals_of_averaged_changes_hold_what_is_planted(rng):
+    held = 0
+    for _ in range(200):
+        points = [
+            point({"n": n, "belt_speed": v}, 450 * (n / 150) ** -0.6, rng) for n in (150, 200) for v in (-0.1, -0.2)
+        ]
+        (change, *_) = scene.changes(scene.along("n", points), "system", 0.95)
+        estimate = change.difference.estimate
+        held += estimate.low <= (200 / 150) ** -0.6 - 1 <= estimate.high
+    assert agrees(held, 200, 0.95)
 
 
 def test_a_common_mode_of_blocks_is_said_with_its_share_and_the_goodness_of_its_fit(planted, rng):

@@ -32,6 +32,7 @@ from stickslip.analysis.findings.finding import (
 )
 from stickslip.analysis.findings.numbers import signs, span
 from stickslip.analysis.findings.place import Place
+from stickslip.analysis.findings.words import listed
 from stickslip.analysis.grid import is_negative
 from stickslip.analysis.members import noun
 from stickslip.analysis.models.common_motion import Number
@@ -65,6 +66,12 @@ class Along(NamedTuple):
     key: str
     at: Place
     groups: Sequence[Slow]
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The first and the last value of the key."""
+        first, *_, last = (float(motion.group.key[self.key]) for motion in self.groups)
+        return first, last
 
 
 class Power(NamedTuple):
@@ -101,9 +108,10 @@ class Power(NamedTuple):
 def question(study: Study) -> Answer:
     """How does slow common motion depend on the number of blocks and the speed of the belt?
 
-    The last value of a key is compared with the first, all else equal, with intervals from leaving out one system
-    everywhere at once, and adjusted for the number of comparisons. A power is fitted by weighted least squares of
-    logarithms where a key spans a factor of two.
+    The last value of a key is compared with the first, all else equal, averaged over the settings of the other keys
+    at which these are the ends, with intervals from leaving out one system everywhere at once, and adjusted for the
+    number of comparisons. A power is fitted by weighted least squares of logarithms where a key spans a factor of
+    two.
     """
     motions = slow_motions(study, WHAT)
     if isinstance(motions, Lack):
@@ -129,11 +137,10 @@ def question(study: Study) -> Answer:
     )
 
 
-def _rank(change: Change) -> tuple[bool, int, float]:
-    """Sorts changes: those that are shown come first, then natural periods, then the largest."""
+def _rank(change: Change) -> tuple[bool, int]:
+    """Sorts changes: those that are shown come first, then natural periods."""
     is_shown = change.difference.verdict in (Verdict.MORE, Verdict.LESS)
-    number = [*NUMBERS.values()].index(change.quantity)
-    return not is_shown, number, -abs(change.difference.estimate.value or 0.0)
+    return not is_shown, [*NUMBERS.values()].index(change.quantity)
 
 
 def _trend(changed: Sequence[Change], key: str) -> str:
@@ -145,8 +152,8 @@ def _trend(changed: Sequence[Change], key: str) -> str:
     if len(verdicts) != 1:
         return f"The {period.name} shows no one trend with {said}"
     side = f"as {said} decreases" if of_size else f"with {said}"
-    n_shown = sum(change.difference.verdict in verdicts for change in along)
-    only = f" (significant in {n_shown} of {len(along)} settings)" if n_shown < len(along) else ""
+    places = [change.where.tail for change in along if change.difference.verdict in verdicts]
+    only = " and".join(places) if len(places) < len(along) else ""
     return f"The {period.name} {'rises' if verdicts == {Verdict.MORE} else 'falls'} {side}{only}"
 
 
@@ -170,34 +177,69 @@ def along(key: str, slow: Sequence[Slow]) -> list[Along]:
 
 
 def changes(lines: Sequence[Along], unit: str, confidence: float) -> list[Change]:
-    """Changes from the first to the last value of each line; their p-values are adjusted by Holm's rule."""
-    tested = [(number, line, _difference(number, line)) for number in NUMBERS for line in lines]
-    adjusted = holm([test.p_different for *_, test in tested]).tolist()
+    """Changes from the first to the last value of a key, averaged over the lines that have the same ends.
+
+    To pick the largest of several lines would overstate it. The p-values are adjusted by Holm's rule.
+    """
+    sets = [*by_key(lines, lambda line: (line.key, line.ends)).values()]
+    sets.sort(key=len, reverse=True)
+    tested = [(number, of_set, _Averaged.of(number, of_set)) for number in NUMBERS for of_set in sets]
+    adjusted = holm([averaged.compared.p_different for *_, averaged in tested]).tolist()
     changed = []
-    for (number, line, test), p in zip(tested, adjusted, strict=True):
-        family = Family(len(tested), p, alpha=1 - confidence)
-        is_share, ends_of_size = number is Number.SHARE, [test.difference, *test.interval(confidence)]
-        size = Estimate(*(ends_of_size if is_share else np.expm1(ends_of_size).tolist()))
-        ends = (line.groups[0], line.groups[-1])
-        old, new = (motion.group.key[line.key] for motion in ends)
-        key = KeyChange(line.key, shown(old), shown(new), is_negative(old, new))
-        before, after = (motion.fit.estimates[number] for motion in ends)
-        difference = Difference(size, Scale.ABSOLUTE if is_share else Scale.RELATIVE, family=family)
-        basis = Basis(min(len(motion.units) for motion in ends), unit)
-        changed.append(Change(NUMBERS[number], (key,), before, after, difference, line.at, basis))
+    for (number, of_set, averaged), p in zip(tested, adjusted, strict=True):
+        compared, is_share = averaged.compared, number is Number.SHARE
+        size = Estimate(compared.difference, *compared.interval(confidence))
+        scale = Scale.ABSOLUTE if is_share else Scale.RELATIVE
+        difference = Difference(
+            size if is_share else size.under(np.expm1), scale, family=Family(len(tested), p, alpha=1 - confidence)
+        )
+        key, (old, new) = of_set[0].key, of_set[0].ends
+        keys = (KeyChange(key, shown(old), shown(new), is_negative(old, new)),)
+        before, after = (averaged.level(side, confidence, is_share) for side in (averaged.before, averaged.after))
+        basis = Basis(min(len(motion.units) for line in of_set for motion in (line.groups[0], line.groups[-1])), unit)
+        changed.append(Change(NUMBERS[number], keys, before, after, difference, _averaged_over(of_set), basis))
     return changed
 
 
-def _difference(number: Number, line: Along) -> Compared:
-    """Tests of the last value less the first, of a share, or else of their logarithms.
+class _Averaged(NamedTuple):
+    """A number at both ends of some lines, averaged over these: a share, or the logarithm of another number.
 
-    For its error a system is left out of both at once, as they share draws; along n they do not, which adds no error.
+    Each has shape (1 + G,): from all systems, and with each of G left out of all settings at once, as they share
+    draws; along n they do not, which adds no error.
     """
-    first, last = line.groups[0], line.groups[-1]
-    units = sorted({*first.units, *last.units})
-    before, after = (np.array(motion.logs(number, units)) for motion in (first, last))
-    change = np.exp(after) - np.exp(before) if number is Number.SHARE else after - before
-    return Compared(float(change[0]), jackknife_error(change[1:]), len(units) - 1)
+
+    before: np.ndarray
+    after: np.ndarray
+
+    @classmethod
+    def of(cls, number: Number, lines: Sequence[Along]) -> _Averaged:
+        units = sorted({unit for line in lines for k in (0, -1) for unit in line.groups[k].units})
+        logs = np.array([[line.groups[k].logs(number, units) for line in lines] for k in (0, -1)])
+        return cls(*(np.exp(logs) if number is Number.SHARE else logs).mean(axis=1))
+
+    @property
+    def compared(self) -> Compared:
+        """Tests of the last value less the first."""
+        change = self.after - self.before
+        return Compared(float(change[0]), jackknife_error(change[1:]), len(change) - 2)
+
+    @staticmethod
+    def level(values: np.ndarray, confidence: float, is_share: bool) -> Estimate:
+        """One of the two, as the number itself, with its interval."""
+        half = student.half_width(confidence, len(values) - 2) * jackknife_error(values[1:])
+        estimate = Estimate(*(float(values[0]) + half * np.array([0.0, -1.0, 1.0])).tolist())
+        return estimate if is_share else estimate.under(np.exp)
+
+
+def _averaged_over(lines: Sequence[Along]) -> Place:
+    """Where a change holds: the setting of one line, or over which of them it is an average."""
+    if len(lines) == 1:
+        return lines[0].at
+    keys = {key for line in lines for key, _ in line.at.parts}
+    if len(keys) > 1:
+        return Place.words(f"averaged over {len(lines)} settings of the other keys")
+    values = sorted((value for line in lines for _, value in line.at.parts), key=lambda value: abs(float(value)))
+    return Place.words(f"averaged over {keys.pop()} = {listed(values)}")
 
 
 # ---------------------------------------------------------------------------------------------------- powers

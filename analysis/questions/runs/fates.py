@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -93,6 +93,9 @@ METHOD_OF_ENDS = (
     " an end is about as wide as the interval to which it is bisected (refine in the scene)."
 )
 
+#: What runs of a setting do, or when they end.
+Ending: TypeAlias = Regime | Share | Alike | Lifetime
+
 
 class Ends(NamedTuple):
     """The runs of a setting until they end: their survival, and when half of them have ended."""
@@ -117,13 +120,14 @@ def answer(study: Study) -> Answer | None:
         return None
     grid = grid_of(study)
     ends = [_ends(study, setting) for setting in grid.settings if not setting.is_recorded]
-    leading, secondary = _findings(study, grid, ends)
+    leading, further, secondary = _findings(study, grid, ends)
     several, each = coexistence.attracting(study, grid)
     boundaries = coexistence.boundaries(study, grid)
     first = [*several, *each] if each else several[:1]
     n_first = MOST_LEADING if each else len(first)
-    secondary = [*first[n_first:], *(leading if each else several[1:]), *secondary]
-    leading = [*first[:n_first], *([] if each else leading)]
+    leads = [*first[:n_first], *([] if each else leading)][:MOST_LEADING]
+    behind = _by_setting(grid, [finding for finding in (*leading, *further) if finding not in leads])
+    findings = [*leads, *first[n_first:], *([] if each else several[1:]), *behind, *secondary]
     shares = [
         portion
         for setting in grid.settings
@@ -144,8 +148,8 @@ def answer(study: Study) -> Answer | None:
         figures = {**diagrams, **of_fates, **typical} if is_mixed else {**diagrams, **typical, **of_fates}
     figures |= _along_t_burn(study, by_t_burn)
     return Answer(
-        findings=[*leading, *secondary] or [Lack("what became of the runs", Reason.ALL_FAILED)],
-        n_lead=min(MOST_LEADING, len(leading)),
+        findings=findings or [Lack("what became of the runs", Reason.ALL_FAILED)],
+        n_lead=len(leads),
         alerts=_alerts(study, grid, ends, short),
         method=" ".join(
             [METHOD_OF_ATTRACTORS] * bool(recorded) + [METHOD_OF_ENDS] * bool(boundaries) + [METHOD] * bool(ends)
@@ -164,14 +168,25 @@ def answer(study: Study) -> Answer | None:
 # ------------------------------------------------------------------------------------------------- findings
 
 
-def _findings(study: Study, grid: Grid, ends: Sequence[Ends]) -> tuple[list[Finding], list[Finding]]:
-    """What leads, and what else there is to say.
+def _by_setting(grid: Grid, findings: Sequence[Ending]) -> list[Ending]:
+    """What runs do, by setting, and then their lifetimes."""
+    order = {str(setting.where): k for k, setting in enumerate(grid.settings)}
+
+    def rank(finding: Ending) -> tuple[bool, int]:
+        is_lifetime = isinstance(finding, Lifetime)
+        return is_lifetime, 0 if is_lifetime else order.get(str(finding.where), -1)
+
+    return sorted(findings, key=rank)
+
+
+def _findings(study: Study, grid: Grid, ends: Sequence[Ends]) -> tuple[list[Ending], list[Ending], list[Finding]]:
+    """What leads, the other outcomes and lifetimes, and what else there is to say.
 
     The outcomes of a method lead where they differ from those of the first, and so does the latest lifetime with an
     interval, unless all runs there end alike.
     """
-    leading: list[Finding] = []
-    secondary: list[Finding] = []
+    leading: list[Ending] = []
+    further: list[Ending] = []
     methods = grid.methods
     outcomes = [
         {setting.label: (setting.kinds, setting.is_certified) for setting in settings}
@@ -190,22 +205,22 @@ def _findings(study: Study, grid: Grid, ends: Sequence[Ends]) -> tuple[list[Find
             statements, details = _outcomes(study, grid, spoken, where)
             for finding, places in statements:
                 is_new = k == 0 or any(reference.get(setting.label) != setting.kinds for setting in places)
-                (leading if is_new else secondary).append(finding)
-            secondary += details
+                (leading if is_new else further).append(finding)
+            further += details
         lifetimes = [row for row in ends if row.setting in settings and row.lifetime.value is not None]
         lifetimes.sort(key=lambda row: -(row.lifetime.value or 0.0))
         mixed = (row for row in lifetimes if len(settings) == 1 or len(row.setting.kinds) > 1)
         lead = next((row for row in mixed if row.lifetime.low is not None), None)
         leading += [_lifetime(study, row) for row in lifetimes if row is lead]
-        secondary += [_lifetime(study, row) for row in lifetimes if row is not lead]
+        further += [_lifetime(study, row) for row in lifetimes if row is not lead]
     with_ends = [row.setting for row in ends]
-    secondary += [*_delays(study), *_proofs(study, with_ends)]
-    return leading, [*secondary, *_stability(study, with_ends), *_means(study, with_ends)]
+    secondary: list[Finding] = [*_delays(study), *_proofs(study, with_ends), *_stability(study, with_ends)]
+    return leading, further, [*secondary, *_means(study, with_ends)]
 
 
 def _outcomes(
     study: Study, grid: Grid, settings: Sequence[Setting], method: Place
-) -> tuple[Sequence[tuple[Finding, Sequence[Setting]]], Sequence[Finding]]:
+) -> tuple[Sequence[tuple[Regime | Share | Alike, Sequence[Setting]]], Sequence[Regime | Share | Alike]]:
     """What the runs of a method do, with the settings: shares where all do the same, else settings by outcome."""
     alike = {setting.kinds for setting in settings}
     if len(settings) == 1 or not grid.axes or (len(alike) == 1 and len(settings[0].kinds) < 2):
