@@ -163,7 +163,7 @@ def _size_law(
         ax.plot(sizes, coin / over, "--", color=GREY, linewidth=1, label="geometric, p = 1/2")
         if ax is not top:
             margin = 0.08 * (max(ends) - min(ends)) + 0.002
-            ax.set(ylabel="relative to p = 1/2", ylim=(min(ends) - margin, max(ends) + margin))
+            ax.set(ylabel="over p = 1/2", ylim=(min(ends) - margin, max(ends) + margin))
     top.set_yscale("log")
     top.yaxis.set_minor_locator(NullLocator())
     if below:
