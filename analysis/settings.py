@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from stickslip.pipeline.design.units import DIMENSIONLESS, Units
-
-LEAST_RANGE = 0.5  # of magnitudes that b is of
+from stickslip.pipeline.design.values import LEAST_RANGE
 
 
 @dataclass(frozen=True)

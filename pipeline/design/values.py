@@ -11,6 +11,8 @@ import numpy as np
 
 from stickslip.sim.numerics.arguments import Floats
 
+#: The least width of a range of magnitudes that b is of.
+LEAST_RANGE = 0.5
 #: The distributions, by what their two numbers are.
 DISTRIBUTIONS = {"uniform": "[low, high]", "normal": "[mean, standard deviation]"}
 

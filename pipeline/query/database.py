@@ -71,8 +71,8 @@ def views(schema: pa.Schema, step: float | None, names: Sequence[str] = (), time
         )
     if "event_t" in schema.names:
         selections["events"] = (
-            "SELECT member_id, unnest(event_t) AS t, unnest(event_block) AS block, unnest(event_mode) AS mode"
-            " FROM shards"
+            "SELECT member_id, unnest(event_t) AS t, unnest(event_block) AS block, unnest(event_mode) AS mode,"
+            " unnest([initial_mode[k + 1] for k in event_block]) AS initial_mode FROM shards"
         )
     for prefix in ("episode_", "cluster_", "profile_"):
         if lists := [field.name for field in schema if field.name.startswith(prefix)]:
@@ -105,11 +105,11 @@ def answer(path: Where | Opened, query: str) -> Iterator[pa.RecordBatchReader]:
     Views: `members` (the scalar columns), `n_stick` (member_id, t, n_stick; one row a change point), `cascades`
     (member_id, start, stop, size, rise_before, rise_after; one row a complete cascade by the definition `events`:
     n_stick falls from its first exit, `start`, to its last, `stop`, and rises before and after it) and, where the
-    scene records them, `events` (member_id, t, block, mode), `episodes` (the columns of
-    `stickslip.pipeline.query.episodes`), `clusters` and `profiles` (those of the functions of these names),
-    `separation` (member_id, t, distance), `thresholds` (member_id, threshold, t, n_stick), and `blocks` (block,
-    name) where blocks have names. Where columns of an answer share a name, as in ``SELECT member_id, *``, the second
-    is called `member_id_1`.
+    scene records them, `events` (member_id, t, block, mode, initial_mode: that of the block at t = 0), `episodes`
+    (the columns of `stickslip.pipeline.query.episodes`), `clusters` and `profiles` (those of the functions of these
+    names), `separation` (member_id, t, distance), `thresholds` (member_id, threshold, t, n_stick), and `blocks`
+    (block, name) where blocks have names. Where columns of an answer share a name, as in ``SELECT member_id, *``, the
+    second is called `member_id_1`.
 
     Raises
     ------

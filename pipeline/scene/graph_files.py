@@ -17,6 +17,8 @@ from stickslip.sim.systems.graphs import adjacent_edges, edges_of, listed_edges
 _MATRICES = (b"PK", b"\x93NUMPY", b"%%MatrixMarket")
 #: A number that a comment in a text of edges carries, as `# rewiring = 0.1`.
 _NUMBER = re.compile(rb"^[ \t]*[#%][ \t]*(\w+)[ \t]*=[ \t]*([-+.\deE]+)[ \t]*\r?$", re.MULTILINE | re.ASCII)
+#: A number in plain digits.
+_PLAIN = re.compile(r"[-+.\deE]+", re.ASCII)
 
 
 def graph_of(content: bytes, names: Sequence[str]) -> dict[str, Any]:
@@ -47,11 +49,16 @@ def _of_text(content: bytes) -> dict[str, Any]:
     return _with_numbers(edges, {name.decode(): number.decode() for name, number in _NUMBER.findall(content)})
 
 
+class _WithoutType(ElementTree.TreeBuilder):
+    """A document, in any encoding, that declares no entities."""
+
+    def doctype(self, *_: object) -> None:
+        raise ValueError("expected no document type, which could declare entities, got one; remove <!DOCTYPE ...>")
+
+
 def _of_graphml(content: bytes) -> dict[str, Any]:
     """The graph of a document of graphml.graphdrawing.org: nodes in their order, weights from the key `weight`."""
-    if b"<!DOCTYPE" in content:
-        raise ValueError("expected no document type, which could declare entities, got one; remove <!DOCTYPE ...>")
-    document = ElementTree.fromstring(content)
+    document = ElementTree.fromstring(content, ElementTree.XMLParser(target=_WithoutType()))
     graphs = document.findall(".//{*}graph")
     if len(graphs) != 1:
         raise ValueError(f"expected one graph, got {'more' if graphs else 'none'}")
@@ -61,11 +68,18 @@ def _of_graphml(content: bytes) -> dict[str, Any]:
     if graph.find("{*}hyperedge") is not None:
         raise ValueError("expected edges between two nodes, got a hyperedge")
     attributes = {key.get("id"): key.get("attr.name", "") for key in document.findall("{*}key")}
-    defaults = {key.get("attr.name"): key.findtext("{*}default") for key in document.findall("{*}key")}
+    defaults = {
+        key.get("attr.name"): key.findtext("{*}default")
+        for key in document.findall("{*}key")
+        if key.get("for", "all") in ("edge", "all")
+    }
 
     def values(element: ElementTree.Element) -> dict[str, str]:
         data = element.findall("{*}data")
-        return {attributes.get(value.get("key"), ""): (value.text or "").strip() for value in data}
+        texts = {attributes.get(value.get("key"), ""): (value.text or "").strip() for value in data}
+        if len(texts) < len(data):
+            raise ValueError("expected different data of a node, an edge or a graph, got one key twice")
+        return texts
 
     nodes: dict[str | None, int] = {}
     for node in graph.findall("{*}node"):
@@ -81,13 +95,13 @@ def _of_graphml(content: bytes) -> dict[str, Any]:
         if edge.get("directed", "false") != "false":
             raise ValueError("expected undirected edges, got a directed one")
         weight = values(edge).get("weight") or defaults.get("weight") or "1"
+        if not _PLAIN.fullmatch(weight):
+            raise ValueError(f"expected weights in plain digits, got {weight!r:.40} between {' and '.join(ends)}")
         rows.append([*(nodes[end] for end in ends), float(weight)])
     return _with_numbers(listed_edges(np.array(rows, np.float64).reshape(-1, 3), len(nodes)), values(graph))
 
 
 def _with_numbers(edges: Any, texts: dict[str, str]) -> dict[str, Any]:
     """The edges, and those of some texts beside them that are numbers, by name."""
-    numbers = {
-        name: float(text) for name, text in texts.items() if name.isidentifier() and re.fullmatch(r"[-+.\deE]+", text)
-    }
+    numbers = {name: float(text) for name, text in texts.items() if name.isidentifier() and _PLAIN.fullmatch(text)}
     return {"edges": edges} | ({"parameters": numbers} if numbers else {})

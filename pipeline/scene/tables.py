@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -19,7 +20,7 @@ from pydantic import (
 )
 
 from stickslip.pipeline.design.units import DIMENSIONS
-from stickslip.pipeline.design.values import END, Distribution, values
+from stickslip.pipeline.design.values import END, LEAST_RANGE, Distribution, values
 from stickslip.pipeline.own.function import PATTERN
 from stickslip.pipeline.records import RECORDS
 from stickslip.pipeline.records.record import Record, StateRecord, WindowRecord
@@ -36,6 +37,7 @@ from stickslip.pipeline.scene.toml import (
     listed,
     once,
     optional,
+    shown,
 )
 from stickslip.sim.engines.contract import Purpose
 
@@ -316,6 +318,21 @@ class PublishedTable(_Declared):
 QuestionName = Annotated[str, Field(pattern=rf"^[a-z]\w*$|{PATTERN}")]
 
 
+def _magnitudes(given: object) -> tuple[float, float] | None:
+    """A range of magnitudes that is wide enough."""
+    match given:
+        case None:
+            return None
+        case [int() | float() as least, int() | float() as most] if (
+            bool not in map(type, (least, most)) and -math.inf < least and least + LEAST_RANGE <= most < math.inf
+        ):
+            return float(least), float(most)
+    raise ValueError(
+        f"expected two magnitudes, the second by {LEAST_RANGE} or more the larger, got {shown(given)}; write e.g."
+        " [-1.0, 0.5]"
+    )
+
+
 class AnalysisTable(StrictTable):
     """[analysis]: settings of the statistics; without influence on the data."""
 
@@ -326,8 +343,8 @@ class AnalysisTable(StrictTable):
         default=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0), description="gaps of pairs of exits", examples=[[0.05]]
     )
     smallest: Count = Field(default=1, description="smallest cascade that the law is fitted to")
-    magnitude_range: Annotated[tuple[float, float] | None, WithJsonSchema(PAIR)] = optional(
-        "range of magnitudes that b is of; found in the data if left out", [-1.0, 0.5]
+    magnitude_range: Annotated[tuple[float, float] | None, BeforeValidator(_magnitudes), WithJsonSchema(PAIR)] = (
+        optional("range of magnitudes that b is of; found in the data if left out", [-1.0, 0.5])
     )
     resamples: int = Field(default=200, ge=2, description="most surrogates of a member for what chance gives")
     confidence: Annotated[float, Field(ge=0.5, le=0.999999)] = Field(

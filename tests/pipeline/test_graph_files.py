@@ -114,6 +114,10 @@ BOMB = b'<!DOCTYPE g [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
 
 @pytest.mark.parametrize(("content", "words"), [
     (BOMB + GRAPHML.format(NODES).encode(), "no document type, which could declare entities"),
+    ((BOMB.decode() + GRAPHML.format(NODES)).encode("utf-16-le"), "no document type, which could declare entities"),
+    (GRAPHML.format(NODES).replace("2.5", "1_0").encode(), "weights in plain digits, got '1_0' between b and a"),
+    (GRAPHML.format(NODES).replace("2.5", "\u0663").encode(), "weights in plain digits"),
+    (GRAPHML.format(NODES[:-2] + ">" + 2 * '<data key="w">1</data>' + "</edge>").encode(), "one key twice"),
     (GRAPHML.format(NODES).replace('"undirected"', '"directed"').encode(), "got a directed graph"),
     (GRAPHML.format(NODES.replace("<edge", '<edge directed="true"')).encode(), "undirected edges, got a directed"),
     (GRAPHML.format(NODES.replace('"b"/><edge', '"c"/><edge')).encode(), "edges between nodes, got 'b'"),
@@ -142,6 +146,8 @@ def test_what_is_no_graph_is_refused_with_a_reason(content, words, tmp_path):
 def test_defaults_of_graphml_hold_where_an_edge_says_nothing():
     edges = graph_of(GRAPHML.format(NODES).encode(), ())["edges"]
     assert (edges.n, edges.pairs.tolist(), edges.weights.tolist()) == (2, [[0, 1]], [2.5])
+    of_nodes = GRAPHML.format(NODES).replace('for="edge"', 'for="node"').encode()
+    assert graph_of(of_nodes, ())["edges"].weights.tolist() == [1.0]
 
 
 def test_edges_where_k_is_expected_are_told_how_they_are_read(graph, tmp_path):

@@ -200,6 +200,43 @@ def test_blocks_without_friction_are_no_contacts(tmp_path):
     assert beside["amplitude_mean"] == pytest.approx(alone["amplitude_mean"] / 5, rel=1e-6)  # the four stay at rest
 
 
+def test_the_block_that_lets_go_first_is_one_with_friction(tmp_path):
+    """The middle of three is pushed until its static friction gives way; the others only ride until then."""
+    text = """[system]
+coupling = "chain"
+n = 3
+kappa = 1.0
+leaf = 1.0
+damping = 0.1
+friction = 1.0
+static = 1.3
+contacts = [1]
+belt_speed = 0.0
+force = {amplitude = 4.0, frequency = 0.3, blocks = [2]}
+[start]
+z = 0.0
+w = 0.0
+[run]
+t_end = 20.0
+matrices = 1
+[[engine]]
+name = "coulomb"
+[record]
+first_exit = true
+events = true
+[analysis]
+t_burn = 0.0
+dt = 0.5
+"""
+    run_ensemble(parse_scene(text.encode()), tmp_path / "out", workers=0)
+    dataset = Dataset(tmp_path / "out")
+    row = dataset.members.iloc[0]
+    events = dataset.events(row["member_id"])
+    assert 0 in events.block[events.is_exit], "a block without friction leaves the belt too"
+    exits = events.t[events.is_exit & (events.block == 1)]
+    assert (row["first_exit"], row["first_exit_block"]) == (exits[0], 1)
+
+
 def test_without_any_contact_its_numbers_are_null(tmp_path):
     scene = scene_of(
         ("stick_share", "slip_speed", "waiting"),

@@ -117,6 +117,8 @@ def test_numbers_are_read_as_they_were_written(case):
     ("content", "words"),
     [
         (b"1,2\n3,4,5\n6,7\n", r"line 2: expected 2 columns, as in the last line, got 3"),
+        (b'"1,200.5",-6,0\n-6,9,-6\n0,-6,9\n', r"line 1, column 1: expected a finite number, got '1,200.5'"),
+        (b"1,200.5,-6,0\n-6,9,-6\n0,-6,9\n", r"expected 3 columns, as in the last line, got 1, 200.5, -6, 0"),
         (b"1,2\n3,\n", r"line 2, column 2: expected a finite number, got ''; correct it"),
         (b"# a\n1,2\n3,nan\n", r"line 3, column 2: expected a finite number, got 'nan'"),
         (b"1,2\n3,1+2j\n", r"line 2, column 2: expected a finite number, got '1\+2j'"),

@@ -28,6 +28,12 @@ def test_defaults_and_lists(scene):
     assert scene.perturbation.draws == 1
 
 
+def test_a_range_of_magnitudes_is_kept(scene):
+    declared = scene.changed(analysis={"magnitude_range": [-1, 0.5]})
+    assert declared.analysis.magnitude_range == (-1.0, 0.5)
+    assert declared.changed(analysis={"smallest": 2}).analysis.magnitude_range == (-1.0, 0.5)
+
+
 @pytest.mark.parametrize("name", ["quick", "cascades"])
 def test_shipped_scenes_load_and_explain_each_key(name):
     file = SCENES / f"{name}.toml"
@@ -124,6 +130,10 @@ BAD = {
         ["analysis.published.sliding", "less than or equal to 1"]),
     "published share of nothing": ("t_burn = 1.0", "t_burn = 1.0\npublished.sliding_ = 0.3",
         ["analysis.published.sliding_", "did you mean 'sliding'"]),
+    "magnitudes the wrong way round": ("t_burn = 1.0", "t_burn = 1.0\nmagnitude_range = [0.5, -1.0]",
+        ["analysis.magnitude_range", "second by 0.5 or more the larger, got [0.5, -1.0]", "write e.g."]),
+    "one magnitude": ("t_burn = 1.0", "t_burn = 1.0\nmagnitude_range = 0.5",
+        ["analysis.magnitude_range", "two magnitudes", "got 0.5"]),
     "confidence in percent": ("t_burn = 1.0", "t_burn = 1.0\nconfidence = 95.0",
         ["analysis.confidence", "less than or equal to 0.999999"]),
     "confidence of certainty": ("t_burn = 1.0", "t_burn = 1.0\nconfidence = 0.9999999999999999",

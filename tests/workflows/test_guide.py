@@ -167,6 +167,15 @@ def test_7_blocks(ask, kept):
     assert set(found["block"]) <= set(range(60))
 
 
+def test_7_counts_the_first_exit_of_a_block_that_starts_on_its_belt(tmp_path):
+    source = ensemble([60], 40.0, 1, COULOMB, rest="[record]\nevents = true").replace("w = -0.4", 'w = "belt"')
+    run_ensemble(parse_scene(source.encode()), tmp_path / "out", workers=0)
+    (n_exits,) = query.members(tmp_path / "out")["n_exits"]
+    assert query.sql(tmp_path / "out", block(7, "sql"))["exits"].sum() == n_exits
+    started = query.sql(tmp_path / "out", "SELECT count(DISTINCT block) AS n FROM events WHERE initial_mode = 0")
+    assert started["n"][0] > 10
+
+
 def test_8_twins(ask, kept):
     found = ask(8)
     np.testing.assert_allclose(found[found["t"] == 0]["growth"], 1.0, rtol=1e-6)

@@ -1,4 +1,4 @@
-"""When the first block lets go."""
+"""When the first block with friction lets go."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class FirstExit(Record):
     """The time of the first exit, and the block."""
 
     name = "first_exit"
-    words = "whether to keep when the first block that sticks lets go, and which"
+    words = "whether to keep when the first block with friction that sticks lets go, and which"
     columns = (
         Column(
             "number",
@@ -29,11 +29,11 @@ class FirstExit(Record):
         ),
         Column("whole", "first_exit_block", "the block that lets go first", is_averaged=False, is_index=True),
     )
-    needs = frozenset({"events"})
+    needs = frozenset({"events", "system"})
 
     def of(self, result: Made) -> dict[str, Any]:
         events = result.events
-        exits = np.flatnonzero(events.is_exit)
+        exits = np.flatnonzero(events.is_exit & result.system.has_friction[events.block])
         if not len(exits):
             return {}
         return {"first_exit": events.t[exits[0]], "first_exit_block": int(events.block[exits[0]])}

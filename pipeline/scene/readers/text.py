@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Sequence
 
@@ -47,6 +48,7 @@ class Text(Reader):
 
     def read(self, name: str = "", n_most: int | None = None) -> np.ndarray:
         """All numbers; of a square matrix with labels, those beside these. A row or a column has shape (n,)."""
+        self._check_heads()
         cells = self._cells(self._lines[0][1])
         for numbered in (0, 1):  # columns that pandas has numbered, beside its index or not
             names = [""] * numbered + [str(k) for k in range(self._width - numbered)]
@@ -67,10 +69,14 @@ class Text(Reader):
 
     def columns(self, names: Sequence[str | int]) -> list[np.ndarray]:
         """Some columns, by their headings, or by number from 0; all if none are named."""
+        self._check_heads()
+        return [*self._numbers([self._place(name) for name in names] or range(self._width)).T]
+
+    def _check_heads(self) -> None:
+        """Refuse a line of another length that is no heading: all its cells are numbers."""
         odd = next((head for head in self._heads if all(map(self._is_number, head))), None)
         if odd is not None:
             raise ValueError(f"expected {self._width} columns, as in the last line, got {', '.join(odd)}; correct it")
-        return [*self._numbers([self._place(name) for name in names] or range(self._width)).T]
 
     def _place(self, name: str | int) -> int:
         """The place of a column."""
@@ -86,7 +92,14 @@ class Text(Reader):
         return places[0]
 
     def _cells(self, line: str) -> list[str]:
-        return [cell.strip().strip("\"'").strip() for cell in line.split(self._separator)]
+        if self._separator is None:
+            cells = line.split()
+        else:  # as `_numbers` reads it: a separator between quotes parts nothing
+            try:
+                (cells,) = csv.reader([line], delimiter=self._separator, skipinitialspace=True)
+            except csv.Error as error:
+                raise ValueError(f"expected numbers and headings, got a line with a {error}") from error
+        return [cell.strip().strip("\"'").strip() for cell in cells]
 
     def _has_numbers(self, line: str) -> bool:
         """Whether a line has a number where others have one, so that it is no heading."""
@@ -111,7 +124,7 @@ class Text(Reader):
         """The numbers of some columns, shape (rows, columns)."""
         fits("rows of numbers", BYTES_OF_ENTRY * len(self._lines) * self._width)
         for number, line in self._lines:
-            if (n_cells := len(line.split(self._separator))) != self._width:
+            if (n_cells := len(self._cells(line))) != self._width:
                 raise ValueError(
                     f"line {number}: expected {self._width} columns, as in the last line, got {n_cells}; correct it"
                 )
