@@ -96,7 +96,7 @@ def _of_graphml(content: bytes) -> dict[str, Any]:
             raise ValueError("expected undirected edges, got a directed one")
         weight = values(edge).get("weight") or defaults.get("weight") or "1"
         if not _PLAIN.fullmatch(weight):
-            raise ValueError(f"expected weights in plain digits, got {weight!r:.40} between {' and '.join(ends)}")
+            raise ValueError(f"expected weights in plain digits, got {weight!r:.40} between {ends[0]} and {ends[1]}")
         rows.append([*(nodes[end] for end in ends), float(weight)])
     return _with_numbers(listed_edges(np.array(rows, np.float64).reshape(-1, 3), len(nodes)), values(graph))
 
