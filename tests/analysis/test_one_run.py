@@ -43,14 +43,14 @@ def test_it_counts_the_first_run_that_finished(study):
     assert onsets.estimate.value == 2
     assert slipping.estimate.value == 0.5
     assert sticking.estimate.value == pytest.approx((3 + 2 * 2 + 3 + 2) / (4 * 5))
-    assert sentence(onsets) == "Number of slip onsets, one run of 4 blocks to t = 5: 2."
+    assert sentence(onsets) == "Number of slip onsets, one run of 4 blocks from t = 0 to 5: 2."
     assert "Run m2 is the first of 3 that finished" in found.method
 
 
 def test_a_run_that_grew_without_limit_is_drawn_as_far_as_it_went(study):
     found = answer(study(n_members=2))
     assert "Run m1 is the first of 2 that was begun" in found.method
-    assert str(found.findings[0].where) == "one run of 4 blocks to t = 4.5"
+    assert str(found.findings[0].where) == "one run of 4 blocks from t = 0 to 4.5"
     (ax,) = found.figures["one_run"].recipe().axes
     assert ax.get_xlim() == (0.0, 4.5)
 
@@ -88,5 +88,5 @@ def test_the_page_shows_it_and_is_the_same_twice(study, events):
     assert len(pages) == 1
     page = pages.pop()
     assert ("Which block slips when" if events else "Number of sticking blocks") in page
-    assert "one run of 4 blocks to t = 5" in page
+    assert "one run of 4 blocks from t = 0 to 5" in page
     assert ask(asked, "one_run").figures["one_run"].svg.startswith("<?xml")

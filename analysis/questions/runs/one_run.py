@@ -45,7 +45,7 @@ def answer(study: Study) -> Answer | None:
     if run["outcome"] == DIVERGED:
         t_end = float(run["t_stop"])
     t, n_stick = study.runs.points(name)
-    where = Place.words(f"one run of {plural(n, 'block')} to t = {study.settings.at(t_end)}")
+    where = Place.words(f"one run of {plural(n, 'block')} from t = 0 to {study.settings.at(t_end)}")
     findings: list[Finding] = [_sticking(t, n_stick / n, t_end, where)]
     if name in data.events:
         names, unit = study.settings.names, study.settings.units.time

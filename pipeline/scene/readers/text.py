@@ -147,7 +147,7 @@ class Text(Reader):
                 if not self._is_number(cells[place]):
                     return ValueError(
                         f"line {number}, column {place + 1}: expected a finite number, got {cells[place][:40]!r};"
-                        " correct it, or leave the line out"
+                        " correct it"
                     )
         return ValueError("expected numbers in plain digits, got others")
 
