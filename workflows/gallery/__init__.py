@@ -5,16 +5,15 @@ A chart is named here, in `CHARTS`; what all of them have is in `stickslip.workf
 
 from __future__ import annotations
 
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING
 
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.scene.source import parse_toml, read_source
 from stickslip.pipeline.scene.toml import as_scene
 
 if TYPE_CHECKING:
-    from stickslip.analysis import Report
     from stickslip.workflows.gallery.charts import ChartScene
 
 #: Where the scene of each chart is, loaded when it is asked for. A line here, and the command knows a chart.
@@ -30,9 +29,8 @@ CHARTS = {
 
 def chart(name: str) -> type[ChartScene]:
     """The scene of the chart of that name; KeyError if there is none."""
-    module, _, scene = CHARTS[name].partition(":")
-    scene_class: type[ChartScene] = getattr(import_module(module), scene)
-    return scene_class
+    scene: type[ChartScene] = resolve_name(CHARTS[name])
+    return scene
 
 
 def load_chart(file: Path) -> ChartScene:
@@ -47,10 +45,3 @@ def load_chart(file: Path) -> ChartScene:
             " `chart` it is an ensemble"
         )
     return as_scene(chart(table["chart"]), table, str(file))
-
-
-def report(scene: ChartScene, measured: Any) -> Report:
-    """The page of a chart, from the result of its `measure`."""
-    from stickslip.workflows.gallery.charts import runner
-
-    return runner.report(scene, measured)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from statistics import median
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,17 +40,21 @@ class Product:
         return median(self._batch() for _ in range(_BATCHES)) / self._n
 
 
-class Timing(NamedTuple):
-    """Wall times of runs in seconds, and in products of the same moment: medians, with the least and the most."""
+@dataclass(frozen=True, kw_only=True)
+class Timing:
+    """Wall times of runs in seconds, and in products of the same moment: medians, with the least and the most.
 
-    n_runs: int
-    seconds: float
-    seconds_min: float
-    seconds_max: float
-    product_seconds: float | None
-    products: float | None
-    products_min: float | None
-    products_max: float | None
+    Null where nothing ran; `products` where no product was measured.
+    """
+
+    n_runs: int = 0
+    seconds: float | None = None
+    seconds_min: float | None = None
+    seconds_max: float | None = None
+    product_seconds: float | None = None
+    products: float | None = None
+    products_min: float | None = None
+    products_max: float | None = None
 
 
 def timed(
@@ -61,14 +66,17 @@ def timed(
     """
     times: list[float] = []
     units: list[float] = []
-    while True:
+    while not times or (len(times) < repeats and times[-1] <= longest):
         cost_before = product.seconds() if product else 0.0
         start = time.perf_counter()
         result = run()
         times.append(time.perf_counter() - start)
         units += [0.5 * (cost_before + product.seconds())] if product else []
-        if len(times) >= repeats or times[-1] > longest:
-            break
-    costs = [seconds / unit for seconds, unit in zip(times, units, strict=True)] if units else []
-    in_products = (median(units), median(costs), min(costs), max(costs)) if units else (None,) * 4
-    return result, Timing(len(times), median(times), min(times), max(times), *in_products)
+    costs = [seconds / unit for seconds, unit in zip(times, units, strict=bool(product))]
+    spread = {
+        f"{name}{end}": of(values)
+        for name, values in (("seconds", times), ("products", costs))
+        for end, of in (("", median), ("_min", min), ("_max", max))
+        if values
+    }
+    return result, Timing(n_runs=len(times), product_seconds=median(units) if units else None, **spread)
