@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from stickslip.pipeline.ensemble.pack import Task
     from stickslip.pipeline.places.place import Place
 
+#: Options of `run_ensemble`.
+_FLAGS = ("retry_failed", "accept_version", "dashboard", "yes")
 #: Reasons for which functions of the user's own gave no value, that are shown.
 _REASONS = 5
 
@@ -116,13 +118,13 @@ def run(
     from stickslip.workflows.asking import Asking
 
     # the jobs of Slurm are there: whoever started them may be on a machine that is not to compute
-    where = arguments.scheduler if arguments.slurm is not None else None
+    jobs = arguments.scheduler if arguments.slurm is not None else None
     # before all else: what these load, and what is loaded here, takes a second or two each
     are_forked = arguments.is_program and arguments.workers > 0 and arguments.scheduler is None
     own = file.parent if kept is None else None
     with (
         forked_workers() if are_forked else nullcontext(),
-        nullcontext() if arguments.no_report else Asking(own, scheduler=where) as asking,
+        nullcontext() if arguments.no_report else Asking(own, scheduler=jobs) as asking,
     ):
         with loads(arguments):
             from stickslip.pipeline import run_ensemble
@@ -140,42 +142,32 @@ def run(
             again = _again(arguments, words)
             print(f"\ninterrupted; finished work is kept. Resume with:\n  {again}", file=sys.stderr)
 
+        flags = {name: getattr(arguments, name) for name in _FLAGS}
         is_answered = True
         try:
             with Watch(out) as watch, last_act(how_to_go_on):
                 if asking is not None:
                     Thread(target=_load_report, daemon=True).start()  # while workers compute
-                status = run_ensemble(
-                    scene,
-                    out,
-                    arguments.workers,
-                    arguments.scheduler,
-                    on_progress=watch,
-                    retry_failed=arguments.retry_failed,
-                    accept_version=arguments.accept_version,
-                    dashboard=arguments.dashboard,
-                    yes=arguments.yes,
-                    kept=kept,
-                )
+                status = run_ensemble(scene, out, arguments.workers, arguments.scheduler, watch, kept=kept, **flags)
                 if asking is not None:
                     with loads(arguments):
                         is_answered = write_report(out, asking, watch)
         except Interrupted as interrupt:
             how_to_go_on()
             return interrupt.exit_code
-        print(f"data    {printable(out.named(DATA))}: {status.n_done} members, {status.n_bytes / 1e6:.2f} MB")
-        for reason, count in status.failures.items():
-            print(f"failed  {count}: {reason}", file=sys.stderr)
-        _say_problems(scene, out)
-        if status.failures:
-            arguments.retry_failed = True
-            copy = out.named(SCENE) if isinstance(out, Directory) else str(file)
-            alone = command("run", copy, "--only", str(status.first_failed))
-            print(f"again   {_again(arguments, words)}\nalone   {alone}", file=sys.stderr)
-        if asking is None:
-            print(f"report  not written; write it with: {command('report', str(out))}")
-        print(f"time    {clock(watch.elapsed)}, not counting the report")
-        return UNFINISHED if status.failures or not is_answered else DONE
+    print(f"data    {printable(out.named(DATA))}: {status.n_done} members, {status.n_bytes / 1e6:.2f} MB")
+    for reason, count in status.failures.items():
+        print(f"failed  {count}: {reason}", file=sys.stderr)
+    _say_problems(scene, out)
+    if status.failures:
+        arguments.retry_failed = True
+        copy = out.named(SCENE) if isinstance(out, Directory) else str(file)
+        alone = command("run", copy, "--only", str(status.first_failed))
+        print(f"again   {_again(arguments, words)}\nalone   {alone}", file=sys.stderr)
+    if asking is None:
+        print(f"report  not written; write it with: {command('report', str(out))}")
+    print(f"time    {clock(watch.elapsed)}, not counting the report")
+    return UNFINISHED if status.failures or not is_answered else DONE
 
 
 def _load_report() -> None:

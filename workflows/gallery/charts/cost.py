@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median
+from timeit import Timer
 from typing import TypeVar
 
 import numpy as np
@@ -23,21 +24,14 @@ class Product:
 
     def __init__(self, matrix: NDArray[np.float64]) -> None:
         n = len(matrix)
-        self._matrix, self._x, self._out = np.ascontiguousarray(matrix), np.ones(n), np.empty(n)
-        self._n = 16
-        while (seconds := self._batch()) < _BATCH:
+        names = {"dot": np.dot, "matrix": np.ascontiguousarray(matrix), "x": np.ones(n), "out": np.empty(n)}
+        self._timer, self._n = Timer("dot(matrix, x, out=out)", globals=names), 16
+        while (seconds := self._timer.timeit(self._n)) < _BATCH:
             self._n = max(2 * self._n, int(self._n * _BATCH / max(seconds, 1e-9)))
-
-    def _batch(self) -> float:
-        matrix, x, out = self._matrix, self._x, self._out
-        start = time.perf_counter()
-        for _ in range(self._n):
-            np.dot(matrix, x, out=out)
-        return time.perf_counter() - start
 
     def seconds(self) -> float:
         """Seconds of one product, now: the median of a few batches."""
-        return median(self._batch() for _ in range(_BATCHES)) / self._n
+        return median(self._timer.repeat(_BATCHES, self._n)) / self._n
 
 
 @dataclass(frozen=True, kw_only=True)

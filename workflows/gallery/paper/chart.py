@@ -169,7 +169,7 @@ class PaperScene(ChartScene):
             "paths": measured.pairings,
             "hidden": [event for run in measured.slow_runs for event in run.events],
         }
-        tables = {name: frame_of(type(some[0]), some) for name, some in rows.items() if some}
+        tables = {name: frame_of(type(of_kind[0]), of_kind) for name, of_kind in rows.items() if of_kind}
         recipes: dict[int, list[Recipe]] = {
             1: [partial(figures_1_2.phase_portrait, portrait) for portrait in measured.portraits],
             2: [
