@@ -296,7 +296,8 @@ def _curves(ax: Axes, curves: Sequence[Trace]) -> None:
     with_base = len(curves) > 2
     base, other = (GREY, 1.8, 0.55), (0.7, 1.0)
     looks = [base] * with_base + [(colour, *other) for colour in (EXACT, SMOOTHED, *CYCLE[2:])]
-    for curve, (colour, width, alpha) in zip(curves, looks, strict=False):
+    for k, curve in enumerate(curves):
+        colour, width, alpha = looks[k]
         # thousands of steps: a picture inside the SVG keeps the report small
         ax.step(
             np.append(curve.t, curve.t_stop), np.append(curve.n_stick, curve.n_stick[-1]), where="post",
