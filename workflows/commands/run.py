@@ -269,15 +269,13 @@ def _run_member(file: Path, member_id: str) -> int:
 
 def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     from stickslip.pipeline.places.directory import Directory
-    from stickslip.workflows.gallery import load_chart
+    from stickslip.workflows.gallery import load_chart, report
 
     scene = load_chart(file)
     if arguments.dry_run:
         print(f"{file}: a chart of {scene.extent()}, in one process, into {out}")
         return DONE
     check_no_ensemble(out)
-    from stickslip.workflows.gallery.charts.runner import report
-
     try:
         if isinstance(out, Directory):
             out.make()  # before the minutes of measuring

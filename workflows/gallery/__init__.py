@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.scene.source import parse_toml, read_source
 from stickslip.pipeline.scene.toml import as_scene
 
 if TYPE_CHECKING:
+    from stickslip.analysis import Report
     from stickslip.workflows.gallery.charts import ChartScene
 
 #: Where the scene of each chart is, loaded when it is asked for. A line here, and the command knows a chart.
@@ -45,3 +46,10 @@ def load_chart(file: Path) -> ChartScene:
             " `chart` it is an ensemble"
         )
     return as_scene(chart(table["chart"]), table, str(file))
+
+
+def report(scene: ChartScene, measured: Any) -> Report:
+    """The page of a chart, from the result of its `measure`."""
+    from stickslip.workflows.gallery.charts import runner
+
+    return runner.report(scene, measured)
