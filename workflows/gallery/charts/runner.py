@@ -82,4 +82,4 @@ def _image(figures: dict[str, Drawn], name: str, alt: str) -> Markup:
 def frames(measured: Any, *names: str) -> dict[str, pd.DataFrame]:
     """The tables of fields of what was measured that are lists of dataclasses, by name."""
     hints = get_type_hints(type(measured))
-    return {name: frame_of(*get_args(hints[name]), getattr(measured, name)) for name in names}
+    return {name: frame_of(get_args(hints[name])[0], getattr(measured, name)) for name in names}
