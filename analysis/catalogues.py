@@ -15,7 +15,7 @@ from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import STEPS, TOLERANCES, WIDTHS
-from stickslip.analysis.models.episodes import QUANTITIES, REST, SLOW_DRIVE, Catalogue, drift
+from stickslip.analysis.models.episodes import QUANTITIES, REST, SLOW_DRIVE, Catalogue, rise_of_rate
 from stickslip.analysis.models.magnitudes import (
     WIDTH,
     Magnitudes,
@@ -189,7 +189,7 @@ class Catalogues:
     def basis(self) -> enough.Basis:
         """Whether the law of these episodes may be judged: there are enough, and their rate does not drift."""
         halves = np.array([sum(run.halves() for run in runs) for runs in self.runs.values()])
-        return enough.basis(halves, int(halves.sum()), self.confidence, drift)
+        return enough.basis(halves, int(halves.sum()), self.confidence, rise_of_rate)
 
 
 def read(study: Study) -> list[Catalogues]:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from operator import attrgetter
-from typing import Any, TypeAlias, TypeVar, get_args, get_type_hints
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import pandas as pd
 
 from stickslip.analysis.stats.estimates import Estimate
 
 T = TypeVar("T")
-#: By the name of a column, its type and what it has of an object: str, int, float, bool or None. An `Estimate` has
-#: three columns: its value and, with ``_low`` and ``_high``, the ends of its interval.
+#: By the name of a column, its type and what it has of an object: str, int, float, bool, list or None. An `Estimate`
+#: has three columns: its value and, with ``_low`` and ``_high``, the ends of its interval.
 Columns: TypeAlias = Mapping[str, tuple[type, Callable[[T], object]]]
-_TYPES: Mapping[type, Any] = {bool: "boolean", int: "Int64", float: "Float64", str: "string"}  # a bool is an int
+#: A bool is an int.
+_TYPES: Mapping[type, Any] = {bool: "boolean", int: "Int64", float: "Float64", str: "string", list: object}
 
 
 def frame_by(columns: Columns[T], rows: Iterable[T]) -> pd.DataFrame:
@@ -39,10 +41,13 @@ def frame_of(kind: type[T], rows: Iterable[T]) -> pd.DataFrame:
     Parameters
     ----------
     kind : type
-        Its fields are str, int, float, bool or `Estimate`.
+        Its fields are str, int, float, bool, `Estimate`, or lists or literals of such.
     """
-    columns: dict[str, tuple[type, Callable[[T], object]]] = {}
-    for name, hint in get_type_hints(kind).items():
-        field_type = next(hinted for hinted in (*get_args(hint), hint) if hinted is not type(None))
-        columns[name] = field_type, attrgetter(name)
-    return frame_by(columns, rows)
+    return frame_by({name: (_type(hint), attrgetter(name)) for name, hint in get_type_hints(kind).items()}, rows)
+
+
+def _type(hint: Any) -> type:
+    """The type of what a field holds where it is not None."""
+    if get_origin(hint) in (Union, UnionType):
+        hint = next(option for option in get_args(hint) if option is not NoneType)
+    return type(get_args(hint)[0]) if get_origin(hint) is Literal else get_origin(hint) or hint

@@ -6,7 +6,6 @@ import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import wraps
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec
 
 import numpy as np
@@ -45,9 +44,9 @@ STYLE: Any = {
 }
 
 
-def styled(changes: Mapping[str, Any] = MappingProxyType({})) -> AbstractContextManager[None]:
-    """A context in which matplotlib draws in this style with some changes, whatever the session has set."""
-    return by_defaults(STYLE | changes)
+def styled() -> AbstractContextManager[None]:
+    """A context in which matplotlib draws in this style, whatever the session has set."""
+    return by_defaults(STYLE)
 
 
 WIDTH = 7.2  # inches: the text width of the report
@@ -94,23 +93,17 @@ FORMS: Mapping[str, Callable[[Figure], bytes]] = {
 }
 
 
-def blank(height: float) -> Figure:
-    """A figure as wide as the page's text, `height` inches high, that lays itself out."""
-    return Figure(figsize=(WIDTH, height), layout="constrained")
+def blank(height: float, width: float = WIDTH) -> Figure:
+    """A figure of a size in inches, by default as wide as the page's text, that lays itself out."""
+    return Figure(figsize=(width, height), layout="constrained")
 
 
-def subplots(rows: int, columns: int, height: float, **kwargs: Any) -> tuple[Figure, np.ndarray]:
-    """A figure as of `blank` and its axes, shape (rows, columns)."""
-    figure = blank(height)
-    return figure, figure.subplots(rows, columns, squeeze=False, **kwargs)
-
-
-def legend(figure: Figure, columns: int, axes: Iterable[Axes] | None = None) -> None:
-    """Put one legend below a figure, for the curves of all axes or of some, with each name once."""
+def legend(axes: Iterable[Axes], columns: int, **look: Any) -> None:
+    """Put one legend below a figure, for the curves of these axes, with each name once."""
     handles: dict[str, Any] = {}
-    for ax in figure.axes if axes is None else axes:
+    for ax in axes:
         handles |= dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
-    figure.legend(handles.values(), handles, loc="outside lower center", ncols=columns)
+    ax.figure.legend(handles.values(), handles, loc="outside lower center", ncols=columns, **look)
 
 
 PANEL = (4.2, 3.0)  # inches: half of the page, side by side on wide screens
@@ -130,23 +123,23 @@ def hues(study: Study | None, labels: Sequence[str]) -> list[str]:
 
 
 def panel(
-    height: float = PANEL[1], **axes: Any
-) -> Callable[[Callable[Concatenate[Any, P], None]], Callable[P, Figure]]:
-    """Decorator that makes a function that draws on axes return a figure half a page wide.
+    height: float = PANEL[1], width: float = PANEL[0], **axes: Any
+) -> Callable[[Callable[Concatenate[Any, P], object]], Callable[P, Figure]]:
+    """Decorator that makes a function that draws on axes return a figure, by default half a page wide.
 
     Parameters
     ----------
-    height : float
+    height, width : float
         In inches.
     **axes
         Arguments of ``Figure.subplots``; default: the function is given one `Axes`.
     """
 
-    def of(draw: Callable[Concatenate[Any, P], None]) -> Callable[P, Figure]:
+    def of(draw: Callable[Concatenate[Any, P], object]) -> Callable[P, Figure]:
         @wraps(draw)
         def made(*args: P.args, **kwargs: P.kwargs) -> Figure:
             with styled():
-                figure = Figure(figsize=(PANEL[0], height), layout="constrained")
+                figure = blank(height, width)
                 draw(figure.subplots(**axes), *args, **kwargs)
             return figure
 

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 
 from stickslip import draw_system, simulate
-from stickslip.analysis.style import styled, subplots, svg
+from stickslip.analysis.style import WIDTH, panel, svg
 
 SPAN = (600.0, 650.0)
 
 
-def slips() -> Figure:
+@panel(4.2, WIDTH)
+def slips(ax: Axes) -> None:
     """Which block of the first system of the scene `cascades` slips when."""
     system = draw_system("antisymmetric", n=200, seed=0)
     run = simulate(system, -0.7, -0.4, SPAN[1], tol=1e-10)
-    with styled():
-        figure, axes = subplots(1, 1, 4.2)
-        run.plot("space_time", axes.item(), span=SPAN)
-    return figure
+    run.plot("space_time", ax, span=SPAN)
 
 
 if __name__ == "__main__":

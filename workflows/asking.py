@@ -29,21 +29,10 @@ _LEAST = 2_000
 class Asking:
     """Processes that load what they need while a run goes on, and answer questions once it is done.
 
-    A context manager. There is one for each core but this process's own, none for a small dataset that is there.
-
-    Parameters
-    ----------
-    own : Path, optional
-        Where the scene lies, or its copy, if questions of the user's own may be run; each has a process of its own.
-    with_pdf : bool
-        Whether to draw figures as PDF too.
-    workers : int, optional
-        Local processes of dask that what questions ask of each run is computed by; instead of processes that answer
-        questions.
-    scheduler : str, distributed.Client or callable, optional
-        Address of a running dask cluster to be used instead, or as of `pipeline.run_ensemble`.
-    opened : Opened, optional
-        The dataset, if it is there already.
+    A context manager. There is one for each core but this process's own, none for a small dataset that is there,
+    `opened`. Questions of the user's own, which may be run if `own` says where the scene or its copy lies, have a
+    process each. With `workers`, local processes of dask, or a `scheduler` as of `pipeline.run_ensemble`, what
+    questions ask of each run is computed there instead, and this process answers the questions.
     """
 
     def __init__(

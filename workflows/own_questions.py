@@ -36,18 +36,9 @@ _MOST = 400  # characters of what an error says
 
 
 class Task(NamedTuple):
-    """What a child is to do.
+    """What a child is to do: ask the question `module:function` of a dataset, or only load its code if there is none.
 
-    Attributes
-    ----------
-    name : str
-        `module:function`.
-    folder : str
-        Where the scene lies, or its copy: the module is looked for there, above, and where Python finds it.
-    opened : Opened, optional
-        The dataset that it is asked of; if None, the code is only loaded.
-    with_pdf : bool
-        Whether to draw figures as PDF too.
+    The folder is where the scene lies, or its copy: the module is looked for there, above, and where Python finds it.
     """
 
     name: str

@@ -39,16 +39,7 @@ class Asked:
 
 
 class Parts:
-    """Puts functions to the runs of a dataset.
-
-    Parameters
-    ----------
-    opened : Opened
-    settings : AnalysisSettings
-    executor : Executor
-    least : int
-        Runs of a part, at least, but for the last: consecutive shards go together until there are so many.
-    """
+    """Puts functions to the runs of a dataset; consecutive shards go together until a part has `least` runs."""
 
     def __init__(self, opened: Opened, settings: AnalysisSettings, executor: Executor, least: int = 1) -> None:
         self._settings, self._opened, self._names = settings, opened, opened.in_parts(least)

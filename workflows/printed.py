@@ -13,10 +13,7 @@ from stickslip.pipeline.errors import printable
 class Printed:
     """A stream of text in which control characters are written as Python writes them, but for the ends of lines.
 
-    Attributes
-    ----------
-    unescaped : TextIO
-        The stream below, for what moves a cursor.
+    What moves a cursor is written to `unescaped`, the stream below.
     """
 
     def __init__(self, stream: TextIO) -> None:

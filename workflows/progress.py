@@ -6,7 +6,6 @@ import socket
 import sys
 import time
 from collections import Counter
-from types import TracebackType
 from typing import TYPE_CHECKING, TextIO
 
 from tqdm import tqdm
@@ -53,9 +52,7 @@ class Watch:
     def __enter__(self) -> Watch:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:

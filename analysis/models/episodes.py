@@ -112,7 +112,7 @@ SLOW_DRIVE: Mapping[str, Quantity] = {
 }
 
 
-def drift(sums: np.ndarray) -> np.ndarray:
+def rise_of_rate(sums: np.ndarray) -> np.ndarray:
     """Number of episodes in the second half over that in the first, minus 1, from sums of `Catalogue.halves`."""
     if (sums[:, 0] == 0).any():
         raise Undefined("no episode in the first half")

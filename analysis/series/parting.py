@@ -20,7 +20,7 @@ STEP = 1.0  # between the times at which gaps are known
 _WIDTH = round(SPAN / STEP)
 
 
-def mean_difference(first: ChangePoints, second: ChangePoints, edges: np.ndarray) -> np.ndarray:
+def mean_gap(first: ChangePoints, second: ChangePoints, edges: np.ndarray) -> np.ndarray:
     """Exact mean of |n_stick difference| over each window [edges[k], edges[k+1]).
 
     Parameters
@@ -46,7 +46,7 @@ def gap(first: ChangePoints, second: ChangePoints, t_stop: float) -> np.ndarray:
     n_steps = int(t_stop / STEP)
     if n_steps < _WIDTH:
         return np.zeros(0)
-    sums = np.concatenate(([0.0], np.cumsum(mean_difference(first, second, STEP * np.arange(n_steps + 1)))))
+    sums = np.concatenate(([0.0], np.cumsum(mean_gap(first, second, STEP * np.arange(n_steps + 1)))))
     return (sums[_WIDTH:] - sums[:-_WIDTH]) / _WIDTH
 
 

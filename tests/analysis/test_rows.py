@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from stickslip.analysis.rows import frame_of
 from stickslip.analysis.stats.estimates import Estimate
@@ -41,3 +41,15 @@ def test_a_column_a_field():
 def test_named_tuples_too_and_no_row_has_all_columns():
     assert frame_of(Pair, []).columns.to_list() == ["key", "value"]
     assert frame_of(Pair, [Pair("a", None)])["value"].isna().all()
+
+
+class Counted(NamedTuple):
+    law: Literal["exact", "smoothed"] | None
+    counts: list[int]
+
+
+def test_a_choice_is_a_text_and_a_list_stays_one():
+    table = frame_of(Counted, [Counted("exact", [3, 1]), Counted(None, [])])
+    assert table.dtypes.astype(str).to_dict() == {"law": "string", "counts": "object"}
+    assert table["law"].isna().to_list() == [False, True]
+    assert table["counts"].to_list() == [[3, 1], []]

@@ -20,12 +20,12 @@ from tests.chance import SURE
 T_END = 1000.0
 
 
-def test_mean_difference_against_the_integral_by_hand():
+def test_mean_gap_against_the_integral_by_hand():
     # |difference| is 2 on [0, 1), 1 on [1, 1.5), 3 on [1.5, 3): windows of one unit have means 2, (0.5 + 1.5), 3
     first = np.array([0.0, 1.0]), np.array([5, 4])
     second = np.array([0.0, 1.5]), np.array([3, 1])
-    assert parting.mean_difference(first, second, np.arange(4.0)) == pytest.approx([2.0, 2.0, 3.0])
-    assert parting.mean_difference(second, first, np.arange(4.0)) == pytest.approx([2.0, 2.0, 3.0])
+    assert parting.mean_gap(first, second, np.arange(4.0)) == pytest.approx([2.0, 2.0, 3.0])
+    assert parting.mean_gap(second, first, np.arange(4.0)) == pytest.approx([2.0, 2.0, 3.0])
 
 
 def test_the_level_is_the_mean_over_all_pairs(rng):

@@ -124,9 +124,9 @@ def test_corners_of_figure_2(report):
 def test_exits_of_figure_2(measured):
     """AUDIT, two blocks: from the middle, block 2 and then block 1; from the double exit both at once."""
     for one, second in zip(measured.parallelograms, (0.8162276148517664, 0.8202362716222801), strict=True):
-        a, b, _ = one.paths
-        assert [(t, block) for t, block, _ in a.events] == [(pytest.approx(0.5625), 1), (pytest.approx(second), 0)]
-        assert [(t, block) for t, block, _ in b.events] == [(pytest.approx(0.5), 0), (pytest.approx(0.5), 1)]
+        a, b = (one.runs[case].events for case in "ab")
+        assert [*zip(a.t, a.block, strict=True)] == [(pytest.approx(0.5625), 1), (pytest.approx(second), 0)]
+        assert [*zip(b.t, b.block, strict=True)] == [(pytest.approx(0.5), 0), (pytest.approx(0.5), 1)]
 
 
 def test_eq_8_as_printed_is_no_corner(measured):

@@ -145,8 +145,8 @@ def test_claims_hold_where_they_should():
 
 
 @pytest.mark.parametrize(("claim", "changes", "verdict"), [
-    ("unstable", {"together": [Together(1.5, 0.5, 0.5)] * 100}, "not reproduced"),
-    ("unstable", {"together": [Together(1.0, 5.0, 5.0)] * 10}, "cannot be told"),
+    ("unstable", {"homogeneous": [Together(1.5, 0.5, 0.5)] * 100}, "not reproduced"),
+    ("unstable", {"homogeneous": [Together(1.0, 5.0, 5.0)] * 10}, "cannot be told"),
     ("no_smoothing", {"ends": [replace(END, kind="together")] * 100}, "not reproduced"),
     ("two_cycles", {"ends": [END] * 100}, "cannot be told"),  # of one kind none was seen
     ("two_cycles", {"ends": [replace(END, n_cycle=5, kind="longer")] * 100}, "not reproduced"),

@@ -24,11 +24,9 @@ from stickslip.workflows.printed import printed
 
 #: By name, in the order of the help. A class here, and the command has it.
 COMMANDS = {
-    one.name: one
-    for one in (
-        Run(), Status(), Verify(), Extend(), Report(), Query(), Export(), Plot(), Scenes(), Init(), Schema(),
-    )
-}  # fmt: skip
+    command.__name__.lower(): command()
+    for command in (Run, Status, Verify, Extend, Report, Query, Export, Plot, Scenes, Init, Schema)
+}
 
 _EXAMPLES = (
     ("stickslip scenes", "list what can be run"),
@@ -75,9 +73,12 @@ def parser() -> argparse.ArgumentParser:
     whole.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, command in COMMANDS.items():
-        about, examples = f"{command.words[0].upper()}{command.words[1:]}.", listed(command.examples)
+        about = command.__doc__ or ""
+        words = about[:1].lower() + about[1:].rstrip(".")
         command.add_arguments(
-            commands.add_parser(name, help=command.words, description=about, epilog=examples, formatter_class=form)
+            commands.add_parser(
+                name, help=words, description=about, epilog=listed(command.examples), formatter_class=form
+            )
         )
     return whole
 

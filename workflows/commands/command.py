@@ -19,14 +19,11 @@ class Wrong(ValueError):
 
 
 class Command(ABC):
-    """A word after `stickslip`, its help and what it does.
+    """A word after `stickslip`, which is the name of the class, and what it does, which the docstring says in help.
 
     Modules of commands load nothing heavy before they are called, so that --help is quick.
     """
 
-    name: ClassVar[str]
-    #: Its line in the list of commands, which begins in lower case and has no full stop.
-    words: ClassVar[str]
     #: Pairs of a command line and what it is for.
     examples: ClassVar[tuple[tuple[str, str], ...]]
 

@@ -12,10 +12,8 @@ from stickslip.workflows.commands.run import add_options, check_directory, check
 
 
 class Extend(Command):
-    """`stickslip extend`."""
+    """Add records to a dataset, in another directory, running no more than it must."""
 
-    name = "extend"
-    words = "add records to a dataset, in another directory, running no more than it must"
     examples = (
         ("stickslip extend runs/mine --record waiting --out runs/more", "from the events that are kept"),
         ("stickslip extend runs/mine --record waiting t_burn=50 --out runs/more", "measured from t = 50"),

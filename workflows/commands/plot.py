@@ -15,10 +15,8 @@ _HEIGHT = 4.0  # inches
 
 
 class Plot(Command):
-    """`stickslip plot`."""
+    """Draw a member of a dataset that records events: which block slips when."""
 
-    name = "plot"
-    words = "draw a member of a dataset that records events: which block slips when"
     examples = (
         ("stickslip plot runs/mine n100-m000-coulomb-1e-10 --out slips.svg", ""),
         ("stickslip plot runs/mine n100-m000-coulomb-1e-10 --span 200 250 --out slips.png", "between two times"),
@@ -54,7 +52,7 @@ class Plot(Command):
 
 def _picture(arguments: argparse.Namespace) -> bytes:
     """The contents of the file that was asked for."""
-    from stickslip.analysis.style import FORMS, blank, styled
+    from stickslip.analysis.style import FORMS, WIDTH, panel
     from stickslip.pipeline.dataset.opened import open_dataset
     from stickslip.pipeline.query import events
 
@@ -69,13 +67,11 @@ def _picture(arguments: argparse.Namespace) -> bytes:
         if arguments.kind == "slip" and not width:
             raise Wrong("--kind: 'slip' is a map of a grid, and these blocks form none; draw space_time")
         options |= width
-    with styled():
-        figure = blank(_HEIGHT)
-        try:
-            series.plot(arguments.kind, figure.subplots(), **options)
-        except ValueError as error:
-            raise Wrong(f"--{error}") from None
-    return FORMS[ending](figure)
+    draw = panel(_HEIGHT, WIDTH)(lambda ax: series.plot(arguments.kind, ax, **options))
+    try:
+        return FORMS[ending](draw())
+    except ValueError as error:
+        raise Wrong(f"--{error}") from None
 
 
 def _grid(opened: Opened, member: str) -> dict[str, int]:

@@ -12,10 +12,8 @@ from stickslip.workflows.commands.command import DONE, Command
 
 
 class Query(Command):
-    """`stickslip query`."""
+    """Query a dataset in SQL (views: members, n_stick, cascades, ...)."""
 
-    name = "query"
-    words = "query a dataset in SQL (views: members, n_stick, cascades, ...)"
     examples = (
         ('stickslip query runs/quick "SELECT outcome, count(*) FROM members GROUP BY outcome"', ""),
         ('stickslip query runs/quick "SELECT * FROM n_stick" --out n_stick.parquet', ""),
@@ -48,10 +46,8 @@ class Query(Command):
 
 
 class Export(Command):
-    """`stickslip export`."""
+    """Write a dataset as one file of another form."""
 
-    name = "export"
-    words = "write a dataset as one file of another form"
     examples = (
         ("stickslip export runs/quick --netcdf quick.nc", "for xarray and others"),
         ("stickslip export runs/burridge_knopoff --catalogue events.csv", "a row an event, as ObsPy reads them"),

@@ -18,10 +18,8 @@ if TYPE_CHECKING:
 
 
 class Report(Command):
-    """`stickslip report`."""
+    """Rewrite the report of a dataset, or compare it with another."""
 
-    name = "report"
-    words = "rewrite the report of a dataset, or compare it with another"
     examples = (
         ("stickslip report runs/quick", "writes runs/quick/report.html"),
         ("stickslip report runs/mine --own", "with your own questions: runs the code beside the scene"),
@@ -57,9 +55,9 @@ class Report(Command):
             from stickslip.workflows.asking import Asking
 
             opened = open_dataset(arguments.directory)
-            with Asking(None, arguments.pdf, arguments.workers, arguments.scheduler, opened) as asking:
-                is_done = write_report(opened, asking, is_own=arguments.own)
-            return DONE if is_done else UNFINISHED
+            own = opened.folder if arguments.own else None
+            with Asking(own, arguments.pdf, arguments.workers, arguments.scheduler, opened) as asking:
+                return DONE if write_report(opened, asking) else UNFINISHED
         if arguments.workers is not None or arguments.scheduler is not None:
             raise Wrong(
                 "--workers, --scheduler, --slurm: expected without --compare, which looks at the runs here; leave "
@@ -73,19 +71,17 @@ class Report(Command):
         return DONE
 
 
-def write_report(directory: Where | Opened, asking: Asking, watch: Watch | None = None, is_own: bool = False) -> bool:
+def write_report(directory: Where | Opened, asking: Asking, watch: Watch | None = None) -> bool:
     """Write the report of a dataset, unless it is up to date; False if a question of the user's own failed.
 
-    If they may be run, which `asking` knows, or else `is_own` says, the report is always made again: they may depend
-    on anything. So is one with figures as PDF.
+    If they may be run, the report is always made again: they may depend on anything. So is one with figures as PDF.
     """
     from stickslip.analysis.page import PAGE
     from stickslip.pipeline.dataset.opened import open_dataset
     from stickslip.workflows import own_questions
     from stickslip.workflows.fresh import has_own, is_current
 
-    is_own = is_own or asking.own is not None
-    opened = open_dataset(directory)
+    opened, is_own = open_dataset(directory), asking.own is not None
     own, problems = own_questions.names(opened.scene), dict[str, str]()
     if is_current(opened) and not asking.with_pdf and not (own and is_own):
         if watch is not None:
@@ -93,8 +89,6 @@ def write_report(directory: Where | Opened, asking: Asking, watch: Watch | None 
         print(printable(f"report  {opened.place.named(PAGE)}, unchanged"))
         is_own = has_own(opened)
     else:
-        if is_own and asking.own is None:
-            asking.own = opened.folder
         problems = {**_build(opened, asking, watch).problems}
     for name, problem in problems.items():
         print(printable(f"failed  {name}: {problem}"), file=sys.stderr)

@@ -24,18 +24,16 @@ if TYPE_CHECKING:
     from stickslip.pipeline.dataset.opened import Opened
     from stickslip.pipeline.ensemble.pack import Task
     from stickslip.pipeline.places.place import Place
-    from stickslip.workflows.asking import Asking
 
-
+#: Options of `run_ensemble`.
+_FLAGS = ("retry_failed", "accept_version", "dashboard", "yes")
 #: Reasons for which functions of the user's own gave no value, that are shown.
 _REASONS = 5
 
 
 class Run(Command):
-    """`stickslip run`."""
+    """Run a scene, or what is missing of it, and write its report."""
 
-    name = "run"
-    words = "run a scene, or what is missing of it, and write its report"
     examples = (
         ("stickslip run quick", "a scene that ships, into runs/quick"),
         ("stickslip run mine.toml --dry-run", "what your own scene would take"),
@@ -114,82 +112,49 @@ def run(
 ) -> int:
     """Run a scene into a place, and write its report; the exit code.
 
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        Of the command.
-    words : sequence of str
-        With which the command is given again.
-    load : callable
-        Gives the scene; called once workers are loading what they need.
-    file : Path
-        Of the scene; its own questions lie beside it.
-    out : Place
-    kept : Opened, optional
-        As of `run_ensemble`; the questions of the user's own are not asked then.
+    `words` are those with which the command is given again. `load` gives the scene, and is called once workers are
+    loading what they need. Questions of the user's own lie beside `file`; they are not asked of rows that are `kept`.
     """
     from stickslip.workflows.asking import Asking
 
     # the jobs of Slurm are there: whoever started them may be on a machine that is not to compute
-    where = arguments.scheduler if arguments.slurm is not None else None
+    jobs = arguments.scheduler if arguments.slurm is not None else None
     # before all else: what these load, and what is loaded here, takes a second or two each
     are_forked = arguments.is_program and arguments.workers > 0 and arguments.scheduler is None
     own = file.parent if kept is None else None
     with (
         forked_workers() if are_forked else nullcontext(),
-        nullcontext() if arguments.no_report else Asking(own, scheduler=where) as asking,
+        nullcontext() if arguments.no_report else Asking(own, scheduler=jobs) as asking,
     ):
-        return _run(arguments, words, load, file, out, kept, asking)
+        with loads(arguments):
+            from stickslip.pipeline import run_ensemble
+            from stickslip.pipeline.machine.signals import last_act
+            from stickslip.pipeline.places.directory import Directory
+            from stickslip.pipeline.places.place import DATA, SCENE
+            from stickslip.workflows import own_questions
+            from stickslip.workflows.progress import Watch, clock
 
+        scene = load()
+        if asking is not None and asking.own is not None:
+            own_questions.check(scene, asking.own, str(file))
 
-def _run(
-    arguments: argparse.Namespace,
-    words: Sequence[str],
-    load: Callable[[], Scene],
-    file: Path,
-    out: Place,
-    kept: Opened | None,
-    asking: Asking | None,
-) -> int:
-    with loads(arguments):
-        from stickslip.pipeline import run_ensemble
-        from stickslip.pipeline.machine.signals import last_act
-        from stickslip.pipeline.places.directory import Directory
-        from stickslip.pipeline.places.place import DATA, SCENE
-        from stickslip.workflows import own_questions
-        from stickslip.workflows.progress import Watch, clock
+        def how_to_go_on() -> None:
+            again = _again(arguments, words)
+            print(f"\ninterrupted; finished work is kept. Resume with:\n  {again}", file=sys.stderr)
 
-    scene = load()
-    if asking is not None and asking.own is not None:
-        own_questions.check(scene, asking.own, str(file))
-
-    def how_to_go_on() -> None:
-        again = _again(arguments, words)
-        print(f"\ninterrupted; finished work is kept. Resume with:\n  {again}", file=sys.stderr)
-
-    is_answered = True
-    try:
-        with Watch(out) as watch, last_act(how_to_go_on):
-            if asking is not None:
-                Thread(target=_load_report, daemon=True).start()  # while workers compute
-            status = run_ensemble(
-                scene,
-                out,
-                arguments.workers,
-                arguments.scheduler,
-                on_progress=watch,
-                retry_failed=arguments.retry_failed,
-                accept_version=arguments.accept_version,
-                dashboard=arguments.dashboard,
-                yes=arguments.yes,
-                kept=kept,
-            )
-            if asking is not None:
-                with loads(arguments):
-                    is_answered = write_report(out, asking, watch)
-    except Interrupted as interrupt:
-        how_to_go_on()
-        return interrupt.exit_code
+        flags = {name: getattr(arguments, name) for name in _FLAGS}
+        is_answered = True
+        try:
+            with Watch(out) as watch, last_act(how_to_go_on):
+                if asking is not None:
+                    Thread(target=_load_report, daemon=True).start()  # while workers compute
+                status = run_ensemble(scene, out, arguments.workers, arguments.scheduler, watch, kept=kept, **flags)
+                if asking is not None:
+                    with loads(arguments):
+                        is_answered = write_report(out, asking, watch)
+        except Interrupted as interrupt:
+            how_to_go_on()
+            return interrupt.exit_code
     print(f"data    {printable(out.named(DATA))}: {status.n_done} members, {status.n_bytes / 1e6:.2f} MB")
     for reason, count in status.failures.items():
         print(f"failed  {count}: {reason}", file=sys.stderr)

@@ -9,10 +9,8 @@ from stickslip.workflows.commands.command import DONE, Command, Wrong
 
 
 class Scenes(Command):
-    """`stickslip scenes`."""
+    """List the scenes that ship, with members and time."""
 
-    name = "scenes"
-    words = "list the scenes that ship, with members and time"
     examples = (("stickslip scenes", ""),)
 
     def __call__(self, arguments: argparse.Namespace) -> int:
@@ -23,10 +21,8 @@ class Scenes(Command):
 
 
 class Init(Command):
-    """`stickslip init`."""
+    """Write a commented scene to start from."""
 
-    name = "init"
-    words = "write a commented scene to start from"
     examples = (("stickslip init", "writes scene.toml"), ("stickslip init mine.toml", ""))
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
@@ -43,10 +39,8 @@ class Init(Command):
 
 
 class Schema(Command):
-    """`stickslip schema`."""
+    """Print the JSON Schema of scene files, with which editors complete and check them."""
 
-    name = "schema"
-    words = "print the JSON Schema of scene files, with which editors complete and check them"
     examples = (
         ("stickslip schema > stickslip.schema.json", "for ensembles, as `stickslip init` writes it"),
         ("stickslip schema stability", "for the scenes of a chart"),

@@ -10,10 +10,8 @@ from stickslip.workflows.commands.command import DONE, UNFINISHED, Command
 
 
 class Status(Command):
-    """`stickslip status`."""
+    """Show how far a run is, how fast it goes and what failed."""
 
-    name = "status"
-    words = "show how far a run is, how fast it goes and what failed"
     examples = (("stickslip status runs/quick", ""), ("stickslip status runs/quick --watch", "until the run ends"))
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
@@ -31,10 +29,8 @@ class Status(Command):
 
 
 class Verify(Command):
-    """`stickslip verify`."""
+    """Check every byte of a dataset."""
 
-    name = "verify"
-    words = "check every byte of a dataset"
     examples = (("stickslip verify runs/quick", ""),)
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:

@@ -5,8 +5,8 @@ A chart is named here, in `CHARTS`; what all of them have is in `stickslip.workf
 
 from __future__ import annotations
 
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from stickslip.pipeline.errors import SceneError
@@ -30,9 +30,8 @@ CHARTS = {
 
 def chart(name: str) -> type[ChartScene]:
     """The scene of the chart of that name; KeyError if there is none."""
-    module, _, scene = CHARTS[name].partition(":")
-    scene_class: type[ChartScene] = getattr(import_module(module), scene)
-    return scene_class
+    scene: type[ChartScene] = resolve_name(CHARTS[name])
+    return scene
 
 
 def load_chart(file: Path) -> ChartScene:

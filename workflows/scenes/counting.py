@@ -80,18 +80,10 @@ N_COLUMNS = 8
 
 @dataclass(frozen=True)
 class Counted:
-    """A group without its lulls.
+    """A group without its lulls; `is_judged`, whether the runs allow a statistic of a steady state.
 
-    Attributes
-    ----------
-    group : Group
-    rows : ndarray, shape (G, N_COLUMNS)
-        `run_sums` of the systems that have cascades.
-    is_judged : bool
-        Whether the runs allow a statistic of a steady state.
-    share_in_lulls : float
-    estimates : dict of str to Estimate
-        By the names of `parts`.
+    `rows`, shape (G, N_COLUMNS), are the `run_sums` of the systems that have cascades, `estimates` by the names of
+    `parts`.
     """
 
     group: Group
@@ -251,14 +243,7 @@ def slope_sums(win: Window) -> np.ndarray:
 def run_sums(win: Window, steps: BlockSteps, draws: int, rng: np.random.Generator) -> np.ndarray:
     """Sums of a run without lulls, shape (N_COLUMNS,), which add over runs and matrices.
 
-    Parameters
-    ----------
-    win : Window
-    steps : BlockSteps
-        The same changes, block by block.
-    draws : int
-        Number of shifts.
-    rng : Generator
+    `steps` are the changes of `win`, block by block, which are shifted `draws` times.
     """
     span = win.t_stop - win.t_start
     observed, rotated = sums(win.step)[EVENTS], nulls.moments(steps, draws, rng)[[1, 0]]

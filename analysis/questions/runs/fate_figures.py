@@ -69,10 +69,7 @@ OTHERS = Look("#FDD0A2", "p", "\\\\\\")
 def pictures(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> dict[str, Picture]:
     """Shares at each setting, or what most runs do over two keys; basins; and survival, if some runs ended.
 
-    Parameters
-    ----------
-    curves : mapping of Place to Curve
-        Survival of the runs of settings.
+    `curves` are those of survival, by where a setting is.
     """
     figures: dict[str, Picture] = {}
     settings = grid.settings

@@ -303,12 +303,7 @@ def things(basis: Basis) -> str:
 class Portion:
     """The runs of a setting that have an outcome: how many, and their share.
 
-    Attributes
-    ----------
-    cycle : int, optional
-        Its number among those of its system.
-    period, multiplier : float, optional
-        Of cycles: the median, and the largest.
+    Of cycles, `cycle` is the number among those of the system, the period a median, the multiplier the largest.
     """
 
     setting: str

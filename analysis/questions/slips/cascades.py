@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -38,7 +37,7 @@ from stickslip.analysis.models import fates, pool
 from stickslip.analysis.questions.runs.engines import between_engines
 from stickslip.analysis.questions.slips import cascade_definitions, cascade_figures
 from stickslip.analysis.questions.slips.cascade_figures import Size
-from stickslip.analysis.rows import frame_of
+from stickslip.analysis.rows import Columns, frame_by, frame_of
 from stickslip.analysis.series import nulls
 from stickslip.analysis.series.cascades import spans
 from stickslip.analysis.series.runs import Run
@@ -61,22 +60,6 @@ RATE = Quantity(
 )
 BESIDE = replace(RATE, clause="the decay rate is {}")  # said after the law, which has its value
 VARIANCE = Quantity("variance", "variance of cascade sizes")
-
-
-class LawRow(NamedTuple):
-    """A row of the table `law`: variances are over a geometric distribution's, the least size counts as 1."""
-
-    group: str
-    n: int
-    n_matrices: int
-    n_cascades: int
-    smallest: int
-    gamma: Estimate
-    gamma_pool: float | None
-    gamma_shifted: float | None
-    over_shifted: Estimate
-    variance: Estimate
-    basis: str
 
 
 @dataclass(frozen=True)
@@ -197,7 +180,7 @@ def answer(study: Study) -> Answer:
     sums |= {entry.group.label: entry for entry in alike}
     sizes: dict[str, list[Size]] = {label: _sizes(entry, level) for label, entry in sums.items()}
     tables = {
-        "law": frame_of(LawRow, [_law_row(entry, level) for entry in sums.values()]),
+        "law": frame_by(_law(level), sums.values()),
         "sizes": frame_of(Size, [size for of_group in sizes.values() for size in of_group]),
     }
     drifting = _drifting(study, judged, sums)
@@ -385,21 +368,24 @@ def _alerts(study: Study, lead: Sums) -> list[Alert]:
 # ------------------------------------------------------------------------------------------------- tables and figures
 
 
-def _law_row(sums: Sums, confidence: float) -> LawRow:
-    mean, shifted = sums.pool_mean, sums.is_shifted
-    return LawRow(
-        sums.group.label,
-        sums.n,
-        len(sums.rows),
-        int(sums.rows[:, 0].sum()),
-        sums.smallest,
-        sums.estimate(gamma, confidence),
-        None if mean is None else pool.gamma(sums.n, mean),
-        sums.estimate(gamma_shifted, confidence).value if shifted else None,
-        sums.estimate(over_shifted, confidence) if shifted else Estimate(),
-        sums.estimate(lambda rows: 1 + over_geometric(rows), confidence),
-        sums.group.basis(confidence).code,
-    )
+def _law(level: float) -> Columns[Sums]:
+    """Of the table `law`: variances are over a geometric distribution's, the least size counts as 1."""
+    return {
+        "group": (str, lambda sums: sums.group.label),
+        "n": (int, lambda sums: sums.n),
+        "n_matrices": (int, lambda sums: len(sums.rows)),
+        "n_cascades": (int, lambda sums: sums.rows[:, 0].sum()),
+        "smallest": (int, lambda sums: sums.smallest),
+        "gamma": (Estimate, lambda sums: sums.estimate(gamma, level)),
+        "gamma_pool": (float, lambda sums: sums.pool_mean and pool.gamma(sums.n, sums.pool_mean)),
+        "gamma_shifted": (float, lambda sums: sums.estimate(gamma_shifted, level).value if sums.is_shifted else None),
+        "over_shifted": (
+            Estimate,
+            lambda sums: sums.estimate(over_shifted, level) if sums.is_shifted else Estimate(),
+        ),
+        "variance": (Estimate, lambda sums: sums.estimate(lambda rows: 1 + over_geometric(rows), level)),
+        "basis": (str, lambda sums: sums.group.basis(level).code),
+    }
 
 
 def _sizes(sums: Sums, confidence: float) -> list[Size]:

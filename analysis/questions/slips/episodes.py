@@ -465,22 +465,18 @@ def _times_between(group: Catalogues, where: Place, basis: Basis) -> list[Findin
     """How regular large events are, how far apart, and whether their size tells of the time before or after."""
     times = group.recurrence
     large = where + Place.words(f"M \u2265 {times.least:.2f}")
-    quantities = {
-        REGULARITY: times.cv,
-        BETWEEN: times.mean,
-        SLIP_PREDICTABLE: times.before,
-        TIME_PREDICTABLE: times.after,
-    }
+    poisson = Comparison(_POISSON, Difference(times.cv.under(lambda value: value - 1.0), Scale.ABSOLUTE))
+    quantities = (
+        (REGULARITY, times.cv, poisson),
+        (BETWEEN, times.mean, None),
+        (SLIP_PREDICTABLE, times.before, None),
+        (TIME_PREDICTABLE, times.after, None),
+    )
     return [
-        Level(quantity, estimate, large, _beside_poisson(estimate) if quantity is REGULARITY else None, basis)
-        for quantity, estimate in quantities.items()
+        Level(quantity, estimate, large, comparison, basis)
+        for quantity, estimate, comparison in quantities
         if estimate.value is not None
     ]
-
-
-def _beside_poisson(cv: Estimate) -> Comparison:
-    """A coefficient of variation beside that of a Poisson process."""
-    return Comparison(_POISSON, Difference(cv.under(lambda value: value - 1.0), Scale.ABSOLUTE))
 
 
 def _alerts(study: Study, groups: Sequence[Catalogues], references: Sequence[Catalogues]) -> list[Alert]:

@@ -50,15 +50,7 @@ CLUSTERING: Columns[Pairs] = {
 
 
 class Exits(NamedTuple):
-    """The exits of a group.
-
-    Attributes
-    ----------
-    pairs : list of Pairs
-        By tau, ascending; judged together.
-    gap : float
-        Mean time between exits.
-    """
+    """The exits of a group: pairs by tau, ascending, judged together; and the mean time between exits, the gap."""
 
     pairs: list[Pairs]
     n_units: int

@@ -7,7 +7,7 @@ what to measure, measures it, and gives the page its numbers. The template has t
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
@@ -35,7 +35,7 @@ class Shown:
 
     facts: dict[str, Any] = field(default_factory=dict)
     tables: dict[str, pd.DataFrame] = field(default_factory=dict)
-    figures: dict[str, Recipe] = field(default_factory=dict)
+    figures: Mapping[str, Recipe] = field(default_factory=dict)
 
 
 class ChartScene(StrictTable):

@@ -7,7 +7,7 @@ that is named. So is what is said to make no difference (`alike`): the region is
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,12 +26,15 @@ _TABLE: Mapping[str, Any] = {
 Claim = dict[str, Any]
 
 
-def table(judged: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
+def judged(claims: Iterable[Callable[..., Claim]], *measured: Any) -> list[Claim]:
+    """Each claim as a function judges it by what was measured."""
+    return [{"claim": claim.__name__} | claim(*measured) for claim in claims]
+
+
+def table(claims: Sequence[Claim]) -> pd.DataFrame:
     """The claims in numbers: `found` of `tried`, or a `value`, each with its interval."""
-    rows = list(judged)
-    return pd.DataFrame(
-        {name: pd.array([row.get(name) for row in rows], dtype=dtype) for name, dtype in _TABLE.items()}
-    )
+    columns = {name: [claim.get(name) for claim in claims] for name in _TABLE}
+    return pd.DataFrame(columns).astype(_TABLE)
 
 
 def verdict_of(is_so: bool, otherwise: str = CONTRADICTED) -> str:
@@ -58,6 +61,11 @@ def alike(estimate: Estimate, margin: float) -> str:
 def every(verdicts: Sequence[str]) -> str:
     """Of claims that all have to hold."""
     return next((verdict for verdict in (CONTRADICTED, CORRECTED, UNTOLD) if verdict in verdicts), REPRODUCED)
+
+
+def numbers(estimate: Estimate) -> Claim:
+    """A `value` with its interval."""
+    return {"value": estimate.value, "low": estimate.low, "high": estimate.high}
 
 
 def share(hits: int, tried: int) -> Claim:

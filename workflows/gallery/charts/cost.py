@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from statistics import median
-from typing import NamedTuple, TypeVar
+from timeit import Timer
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,34 +24,31 @@ class Product:
 
     def __init__(self, matrix: NDArray[np.float64]) -> None:
         n = len(matrix)
-        self._matrix, self._x, self._out = np.ascontiguousarray(matrix), np.ones(n), np.empty(n)
-        self._n = 16
-        while (seconds := self._batch()) < _BATCH:
+        names = {"dot": np.dot, "matrix": np.ascontiguousarray(matrix), "x": np.ones(n), "out": np.empty(n)}
+        self._timer, self._n = Timer("dot(matrix, x, out=out)", globals=names), 16
+        while (seconds := self._timer.timeit(self._n)) < _BATCH:
             self._n = max(2 * self._n, int(self._n * _BATCH / max(seconds, 1e-9)))
-
-    def _batch(self) -> float:
-        matrix, x, out = self._matrix, self._x, self._out
-        start = time.perf_counter()
-        for _ in range(self._n):
-            np.dot(matrix, x, out=out)
-        return time.perf_counter() - start
 
     def seconds(self) -> float:
         """Seconds of one product, now: the median of a few batches."""
-        return median(self._batch() for _ in range(_BATCHES)) / self._n
+        return median(self._timer.repeat(_BATCHES, self._n)) / self._n
 
 
-class Timing(NamedTuple):
-    """Wall times of runs in seconds, and in products of the same moment: medians, with the least and the most."""
+@dataclass(frozen=True, kw_only=True)
+class Timing:
+    """Wall times of runs in seconds, and in products of the same moment: medians, with the least and the most.
 
-    n_runs: int
-    seconds: float
-    seconds_min: float
-    seconds_max: float
-    product_seconds: float | None
-    products: float | None
-    products_min: float | None
-    products_max: float | None
+    Null where nothing ran; `products` where no product was measured.
+    """
+
+    n_runs: int = 0
+    seconds: float | None = None
+    seconds_min: float | None = None
+    seconds_max: float | None = None
+    product_seconds: float | None = None
+    products: float | None = None
+    products_min: float | None = None
+    products_max: float | None = None
 
 
 def timed(
@@ -61,14 +60,17 @@ def timed(
     """
     times: list[float] = []
     units: list[float] = []
-    while True:
+    while not times or (len(times) < repeats and times[-1] <= longest):
         cost_before = product.seconds() if product else 0.0
         start = time.perf_counter()
         result = run()
         times.append(time.perf_counter() - start)
         units += [0.5 * (cost_before + product.seconds())] if product else []
-        if len(times) >= repeats or times[-1] > longest:
-            break
-    costs = [seconds / unit for seconds, unit in zip(times, units, strict=True)] if units else []
-    in_products = (median(units), median(costs), min(costs), max(costs)) if units else (None,) * 4
-    return result, Timing(len(times), median(times), min(times), max(times), *in_products)
+    costs = [seconds / unit for seconds, unit in zip(times, units, strict=bool(product))]
+    spread = {
+        f"{name}{end}": of(values)
+        for name, values in (("seconds", times), ("products", costs))
+        for end, of in (("", median), ("_min", min), ("_max", max))
+        if values
+    }
+    return result, Timing(n_runs=len(times), product_seconds=median(units) if units else None, **spread)

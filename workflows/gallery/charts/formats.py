@@ -78,17 +78,9 @@ _SHOWN: Mapping[str, Callable[[Any], str]] = {"n": "{:,}".format, "%": percent, 
 def cells(
     rows: Sequence[Any], columns: Sequence[Column], caption: str = "", most: int = 40, where: str = ""
 ) -> Table:
-    """The texts of the first `most` rows of a table; columns without any value are left out.
+    """The texts of the first `most` rows of a table, mappings or objects; columns without any value are left out.
 
-    Parameters
-    ----------
-    rows : sequence
-        Mappings, or objects with attributes.
-    columns : sequence of Column
-    caption : str
-    most : int
-    where : str
-        Name of the Parquet file with all rows, for a note of how many more there are.
+    A note says how many more rows there are, `where` the name of the Parquet file that has all.
     """
     head = rows[:most]
     filled = [column for column in columns if any(_values(row, column)[0] is not None for row in head)]

@@ -6,12 +6,10 @@ import html
 import inspect
 import platform
 import re
-from collections.abc import Sequence
-from dataclasses import asdict
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 import pandas as pd
 from jinja2 import ChoiceLoader, Environment, FileSystemLoader, PackageLoader
@@ -20,6 +18,7 @@ from markupsafe import Markup
 from stickslip.analysis import Report
 from stickslip.analysis.page.layout import RULES, Page
 from stickslip.analysis.page.parts import Drawn, draw
+from stickslip.analysis.rows import frame_of
 from stickslip.workflows.gallery.charts import ChartScene
 from stickslip.workflows.gallery.charts.formats import FORMS
 
@@ -80,8 +79,7 @@ def _image(figures: dict[str, Drawn], name: str, alt: str) -> Markup:
     return Markup('<img src="{}" alt="{}">').format(figures[name].panel.address, alt)
 
 
-def frame(rows: Sequence[Any], row_type: type) -> pd.DataFrame:
-    """Dataclasses as the rows of a table; whole numbers stay whole where some are null."""
-    hints = get_type_hints(row_type)
-    integers = {name: "Int64" for name, hint in hints.items() if hint == int | None}
-    return pd.DataFrame(map(asdict, rows), columns=list(hints)).astype(integers)
+def frames(measured: Any, *names: str) -> dict[str, pd.DataFrame]:
+    """The tables of fields of what was measured that are lists of dataclasses, by name."""
+    hints = get_type_hints(type(measured))
+    return {name: frame_of(get_args(hints[name])[0], getattr(measured, name)) for name in names}

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,20 +18,20 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import scipy.sparse
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 from matplotlib.ticker import NullFormatter
 from pydantic import Field
 
 from stickslip import sim
-from stickslip.analysis.style import CYCLE, GREY, legend, styled, subplots
+from stickslip.analysis.style import CYCLE, GREY, WIDTH, legend, panel
 from stickslip.pipeline import Scene, run_ensemble
 from stickslip.pipeline.ensemble.member import MATRIX
 from stickslip.pipeline.running.cluster import local
 from stickslip.pipeline.scene.toml import BlockNumbers, Blocks, Count, Positive
 from stickslip.workflows.gallery.charts import ChartScene, Say, Shown
-from stickslip.workflows.gallery.charts.cost import Product, timed
+from stickslip.workflows.gallery.charts.cost import Product, Timing, timed
 from stickslip.workflows.gallery.charts.peers import W0, Z0, random_system, seed_of
-from stickslip.workflows.gallery.charts.runner import frame
+from stickslip.workflows.gallery.charts.runner import frames
 
 #: The n at which the stiffnesses have the scale `kappa` of the scene: the paper's.
 KAPPA_AT = 200
@@ -112,19 +112,19 @@ class ScalingScene(ChartScene):
             name: [row for row in measured.costs if (row.system, row.engine) == which]
             for which, name in GROUPS.items()
         }
-        tables = {"costs": frame(measured.costs, Cost), "throughput": frame(measured.throughput, Throughput)}
-        return Shown({"groups": groups}, tables, {"cost_against_size": partial(cost_against_size, groups)})
+        figures = {"cost_against_size": partial(cost_against_size, groups)}
+        return Shown({"groups": groups}, frames(measured, "costs", "throughput"), figures)
 
 
 # ---------------------------------------------------------------------------------------------- measuring
 
 
 @dataclass(frozen=True)
-class Cost:
+class Cost(Timing):
     """Cost of a run of one engine at one n: a row of the table `costs`.
 
-    Seconds and products are medians over the repeats, with the least and the most. Numbers are null, with a reason,
-    where the run did not end well; products are null for chains, whose K is never dense.
+    Numbers are null, with a reason, where the run did not end well; products are null for chains, whose K is never
+    dense.
     """
 
     system: System
@@ -135,14 +135,6 @@ class Cost:
     t: float | None = None
     n_events: int | None = None
     n_products: int | None = None
-    seconds: float | None = None
-    seconds_min: float | None = None
-    seconds_max: float | None = None
-    products: float | None = None
-    products_min: float | None = None
-    products_max: float | None = None
-    product_seconds: float | None = None
-    n_runs: int = 0
 
     @property
     def event(self) -> float | None:
@@ -229,7 +221,7 @@ def cost(scene: ScalingScene, system: System, engine: Engine, n: int) -> Cost:
         t=scene.t_run,
         n_events=stats.n_events,
         n_products=stats.n_products,
-        **timing._asdict(),
+        **asdict(timing),
     )
 
 
@@ -265,24 +257,23 @@ def ensemble(scene: ScalingScene, engine: Engine, **settings: float) -> Scene:
 # ---------------------------------------------------------------------------------------------- the figure
 
 
-def cost_against_size(groups: Mapping[str, Sequence[Cost]]) -> Figure:
+_PANELS = (
+    ("time per event (µs)", "event", 1e-6),
+    ("time per unit of time (ms)", "unit", 1e-3),
+    ("time over that of its products", "over_products", 1.0),
+)
+
+
+@panel(3.1, WIDTH, ncols=3)
+def cost_against_size(axes: Sequence[Axes], groups: Mapping[str, Sequence[Cost]]) -> None:
     """Cost against the number of blocks, and over that of the products alone, log-log."""
-    panels = (
-        ("time per event (µs)", "event", 1e-6),
-        ("time per unit of time (ms)", "unit", 1e-3),
-        ("time over that of its products", "over_products", 1.0),
-    )
-    with styled():
-        figure, axes = subplots(1, len(panels), 3.1)
-        for ax, (title, quantity, unit) in zip(axes[0], panels, strict=True):
-            ax.set(title=title, xscale="log", yscale="log", xlabel="number of blocks n")
-            for k, (name, rows) in enumerate(groups.items()):
-                points = [(row.n, value / unit) for row in rows if (value := getattr(row, quantity)) is not None]
-                ax.plot(*np.array(points).reshape(-1, 2).T, "osD"[k], linestyle="-", linewidth=0.9, color=CYCLE[k],
-                        markersize=4, label=name)  # fmt: skip
-            if quantity == "over_products":
-                ax.axhline(1.0, color=GREY, linewidth=0.8)
-                ax.yaxis.set_major_formatter("{x:g}")
-                ax.yaxis.set_minor_formatter(NullFormatter())
-        legend(figure, 3)
-    return figure
+    for ax, (title, quantity, unit) in zip(axes, _PANELS, strict=True):
+        ax.set(title=title, xscale="log", yscale="log", xlabel="number of blocks n")
+        for k, (name, rows) in enumerate(groups.items()):
+            points = [(row.n, value / unit) for row in rows if (value := getattr(row, quantity)) is not None]
+            ax.plot(*np.array(points).reshape(-1, 2).T, "osD"[k], linestyle="-", linewidth=0.9, color=CYCLE[k],
+                    markersize=4, label=name)  # fmt: skip
+    axes[-1].axhline(1.0, color=GREY, linewidth=0.8)
+    axes[-1].yaxis.set_major_formatter("{x:g}")
+    axes[-1].yaxis.set_minor_formatter(NullFormatter())
+    legend(axes, 3)

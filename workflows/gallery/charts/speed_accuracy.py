@@ -6,7 +6,7 @@ an error below what two references agree to is known to be no larger than that, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, Literal
@@ -17,13 +17,13 @@ from matplotlib.figure import Figure
 from pydantic import Field
 
 from stickslip.analysis.by_key import by_key
-from stickslip.analysis.style import CYCLE, GREEN, GREY, PURPLE, legend, styled, subplots
+from stickslip.analysis.style import CYCLE, GREEN, GREY, PURPLE, WIDTH, legend, panel
 from stickslip.pipeline.scene.toml import BlockNumbers, Count, Positive
 from stickslip.workflows.gallery.charts import ChartScene, Say, Several, Shown
 from stickslip.workflows.gallery.charts.cost import Product
 from stickslip.workflows.gallery.charts.formats import power
 from stickslip.workflows.gallery.charts.peers import METHODS, Model, Problem, Ratio, methods_of, random_problem
-from stickslip.workflows.gallery.charts.runner import frame
+from stickslip.workflows.gallery.charts.runner import frames
 from stickslip.workflows.gallery.charts.trials import Reference, Setting, Trial, referenced, trials
 
 #: A run that can be stopped is given up after so many times `seconds_a_run`.
@@ -103,11 +103,7 @@ class SpeedScene(ChartScene):
         ]  # fmt: skip
         return Shown(
             {"panels": panels, "targets": TARGETS},
-            {
-                "costs": frame(measured.costs, Cost),
-                "at_error": pd.DataFrame(at_error),
-                "references": frame(measured.references, Standard),
-            },
+            frames(measured, "costs", "references") | {"at_error": pd.DataFrame(at_error)},
             {"error_against_cost": partial(error_against_cost, panels)},
         )
 
@@ -237,27 +233,29 @@ def error_against_cost(panels: Sequence[Panel]) -> Figure:
         style[name] = look | {"linewidth": 0.9, "markersize": 4}
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
-    with styled():
-        figure, axes = subplots(rows, columns, 0.9 + 2.7 * rows, sharex=True, sharey=True)
-        for ax in axes.flat[len(panels) :]:
-            ax.set_axis_off()
-        for ax, panel in zip(axes.flat, panels, strict=False):
-            ax.set(title=panel.title, xscale="log", yscale="log")
-            for name in (name for name in names if name in panel.curves):
-                points = [cost for cost in panel.curves[name] if cost.error is not None]
-                ax.plot([c.products for c in points], [c.error for c in points], label=name, **style[name])
-                if bounds := [(c.products, c.error) for c in points if c.is_bound]:
-                    hollow = style[name] | {"linestyle": "none", "markerfacecolor": "white", "zorder": 4}
-                    ax.plot(*zip(*bounds, strict=True), **hollow)
-                if name in _OURS and (floor := [(_LEAST * c.computed, c.error) for c in points if c.computed]):
-                    ax.plot(*zip(*floor, strict=True), color=style[name]["color"], linewidth=0.8)
-            if panel.floor is not None:
-                ax.axhline(panel.floor, color=GREY, linestyle=":", linewidth=0.8)
-            if panel.n_events:
-                ax.axvline(panel.n_events, color=GREY, linestyle="--", linewidth=0.8)
-        for ax in axes[:, 0]:
-            ax.set_ylabel("error, max |z − z$_{ref}$|")
-        for ax in axes[-1]:
-            ax.set_xlabel("cost, products of K with a vector")
-        legend(figure, 4)
-    return figure
+    grid = {"nrows": rows, "ncols": columns, "sharex": True, "sharey": True, "squeeze": False}
+    return panel(0.9 + 2.7 * rows, WIDTH, **grid)(_draw)(panels, {name: style[name] for name in names})
+
+
+def _draw(axes: np.ndarray, panels: Sequence[Panel], style: Mapping[str, dict[str, Any]]) -> None:
+    for ax in axes.flat[len(panels) :]:
+        ax.set_axis_off()
+    for ax, problem in zip(axes.flat, panels, strict=False):
+        ax.set(title=problem.title, xscale="log", yscale="log")
+        for name in (name for name in style if name in problem.curves):
+            points = [cost for cost in problem.curves[name] if cost.error is not None]
+            ax.plot([c.products for c in points], [c.error for c in points], label=name, **style[name])
+            if bounds := [(c.products, c.error) for c in points if c.is_bound]:
+                hollow = style[name] | {"linestyle": "none", "markerfacecolor": "white", "zorder": 4}
+                ax.plot(*zip(*bounds, strict=True), **hollow)
+            if name in _OURS and (floor := [(_LEAST * c.computed, c.error) for c in points if c.computed]):
+                ax.plot(*zip(*floor, strict=True), color=style[name]["color"], linewidth=0.8)
+        if problem.floor is not None:
+            ax.axhline(problem.floor, color=GREY, linestyle=":", linewidth=0.8)
+        if problem.n_events:
+            ax.axvline(problem.n_events, color=GREY, linestyle="--", linewidth=0.8)
+    for ax in axes[:, 0]:
+        ax.set_ylabel("error, max |z − z$_{ref}$|")
+    for ax in axes[-1]:
+        ax.set_xlabel("cost, products of K with a vector")
+    legend(axes.flat, 4)

@@ -27,11 +27,11 @@ from pydantic import Field
 
 from stickslip import sim
 from stickslip.analysis.by_key import by_key
-from stickslip.analysis.style import GREY, styled, subplots
+from stickslip.analysis.style import GREY, WIDTH, panel
 from stickslip.pipeline.scene.toml import Blocks, Positive
 from stickslip.workflows.gallery.charts import ChartScene, Say, Several, Shown
 from stickslip.workflows.gallery.charts.peers import METHODS, Model, Problem, methods_of, random_problem
-from stickslip.workflows.gallery.charts.runner import frame
+from stickslip.workflows.gallery.charts.runner import frames
 from stickslip.workflows.gallery.charts.trials import Outcome, Reference, Setting, Trial, referenced, trials
 
 Axis = Literal["layer", "bond", "damping"]
@@ -140,8 +140,8 @@ class StabilityScene(ChartScene):
             "events": {name: [cell for cell in cells[name] if cell.apart is not None] for name in ours},
             "rule": {"factor": FACTOR, "right_below": RIGHT_BELOW, "wrong_above": WRONG_ABOVE},
         }
-        tables = {"cells": frame(measured.cells, Cell), "references": frame(measured.references, Column)}
-        return Shown(facts, tables, {f"{axis}_maps": partial(maps_of, panels) for axis, panels in groups.items()})
+        figures = {f"{axis}_maps": partial(maps_of, panels) for axis, panels in groups.items()}
+        return Shown(facts, frames(measured, "cells", "references"), figures)
 
 
 # ---------------------------------------------------------------------------------------------- measuring
@@ -227,44 +227,48 @@ _OUTCOMES = {
 }
 
 
-def maps_of(maps: Sequence[Map], columns: int = 4) -> Figure:
+_COLUMNS = 4  # of maps
+
+
+def maps_of(maps: Sequence[Map]) -> Figure:
     """Result of each method over stiffness and tolerance or step; each cell has the power of ten of the error."""
-    rows = -(-len(maps) // columns)
-    with styled({"xtick.labelsize": 7, "ytick.labelsize": 7}):
-        figure, axes = subplots(rows, columns, 0.75 + 1.75 * rows)
-        for ax in axes.flat[len(maps) :]:
-            ax.set_axis_off()
-        label = ""
-        for k, (ax, panel) in enumerate(zip(axes.flat, maps, strict=False)):
-            _draw(ax, panel)
-            previous, label = label, "tolerance" if panel.cells[0].step is None else "step h"
-            if k % columns == 0 or label != previous:
-                ax.set_ylabel(label)
-            if k + columns >= len(maps):
-                ax.set_xlabel(_XLABELS[panel.axis])
-        handles: list[Any] = [
-            Patch(facecolor=fill, edgecolor=GREY, linewidth=0.5, label=words if mark is None else f"{words} ({mark})")
-            for outcome, (fill, _, mark, words) in _OUTCOMES.items()
-            if any(cell.outcome == outcome for panel in maps for cell in panel.cells)
-        ]
-        figure.legend(handles=handles, loc="outside lower center", ncols=3)
-    return figure
+    rows = -(-len(maps) // _COLUMNS)
+    return panel(0.75 + 1.75 * rows, WIDTH, nrows=rows, ncols=_COLUMNS, squeeze=False)(_draw_all)(maps)
 
 
-def _draw(ax: Axes, panel: Map) -> None:
-    stiffness = sorted({cell.stiffness for cell in panel.cells})
-    settings = sorted({cell.setting for cell in panel.cells})
-    for cell in panel.cells:
+def _draw_all(axes: np.ndarray, maps: Sequence[Map]) -> None:
+    for ax in axes.flat[len(maps) :]:
+        ax.set_axis_off()
+    label = ""
+    for k, (ax, of_method) in enumerate(zip(axes.flat, maps, strict=False)):
+        _draw(ax, of_method)
+        previous, label = label, "tolerance" if of_method.cells[0].step is None else "step h"
+        if k % _COLUMNS == 0 or label != previous:
+            ax.set_ylabel(label)
+        if k + _COLUMNS >= len(maps):
+            ax.set_xlabel(_XLABELS[of_method.axis])
+    handles: list[Any] = [
+        Patch(facecolor=fill, edgecolor=GREY, linewidth=0.5, label=words if mark is None else f"{words} ({mark})")
+        for outcome, (fill, _, mark, words) in _OUTCOMES.items()
+        if any(cell.outcome == outcome for of_method in maps for cell in of_method.cells)
+    ]
+    ax.figure.legend(handles=handles, loc="outside lower center", ncols=3)
+
+
+def _draw(ax: Axes, cells_of: Map) -> None:
+    stiffness = sorted({cell.stiffness for cell in cells_of.cells})
+    settings = sorted({cell.setting for cell in cells_of.cells})
+    for cell in cells_of.cells:
         fill, ink, mark, _ = _OUTCOMES[cell.outcome]
         x, y = stiffness.index(cell.stiffness), settings.index(cell.setting)
         ax.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=fill, edgecolor="white", linewidth=0.5))
         text = mark if mark else (f"{np.log10(cell.error):.0f}".replace("-", "−") if cell.error else "∞")
         ax.text(x, y, text, color=ink, fontsize=6 if len(stiffness) < 9 else 5, ha="center", va="center_baseline")
-    ax.set(xlim=(-0.5, len(stiffness) - 0.5), ylim=(-0.5, len(settings) - 0.5), title=panel.method)
+    ax.set(xlim=(-0.5, len(stiffness) - 0.5), ylim=(-0.5, len(settings) - 0.5), title=cells_of.method)
     for axis, values in ((ax.xaxis, stiffness), (ax.yaxis, settings)):
         powers = np.log10(values)
         places = [k for k, power in enumerate(powers) if abs(power - round(power)) < 1e-9]
         places = places[::2] if axis is ax.xaxis and len(places) > 6 else places
         axis.set_ticks(places, [f"$10^{{{powers[k]:.0f}}}$" for k in places])
-    ax.tick_params(length=0)
+    ax.tick_params(length=0, labelsize=7)
     ax.spines[:].set_visible(False)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Literal, TypeVar
 
 import numpy as np
 
 from stickslip import sim
-from stickslip.workflows.gallery.charts.cost import Product, timed
+from stickslip.workflows.gallery.charts.cost import Product, Timing, timed
 from stickslip.workflows.gallery.charts.peers import GivenUp, Method, MethodError, Problem, Solution, solved, warm
 
 Outcome = Literal["measured", "right", "rough", "wrong", "not judged", "failed", "too slow", "absent"]
@@ -21,7 +21,7 @@ Setting = tuple[str, float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trial:
+class Trial(Timing):
     """One method at one setting on one problem.
 
     `tolerance` is null for a method of a fixed step, which has `step` instead; both where nothing came to be asked;
@@ -38,15 +38,7 @@ class Trial:
     reason: str | None = None
     error: float | None = None
     is_bound: bool = False
-    products: float | None = None
-    products_min: float | None = None
-    products_max: float | None = None
     computed: int | None = None
-    seconds: float | None = None
-    seconds_min: float | None = None
-    seconds_max: float | None = None
-    product_seconds: float | None = None
-    n_runs: int = 0
     parted_at: float | None = None
     apart: float | None = None
 
@@ -69,14 +61,12 @@ Row = TypeVar("Row", bound=Trial)
 Known = TypeVar("Known", bound=Reference)
 
 
-def referenced(
-    row: Known, by: Setting, check: Setting, problem: Problem, checked: Problem | None = None
-) -> tuple[Known, Solution | None]:
-    """A run as well as it can be had, and how well a second computation, of `checked` if given, agrees."""
+def referenced(row: Known, by: Setting, check: Setting, problem: Problem) -> tuple[Known, Solution | None]:
+    """A run as well as it can be had, and how well a second computation agrees."""
     row = replace(row, reference="{} at {:g}".format(*by), check="{} at {:g}".format(*check))
     try:
         solution = solved(*by, problem)
-        check_z = solved(*check, checked or problem).z
+        check_z = solved(*check, problem).z
     except (MethodError, sim.IntegrationError) as error:
         return replace(row, reason=str(error)), None
     # two computations may agree to the bit, yet no less than rounding is claimed
@@ -119,8 +109,8 @@ def trials(
             outcome: Outcome = "too slow" if isinstance(failure, GivenUp) else "failed"
             yield replace(trial, outcome=outcome, reason=str(failure))
         else:
-            took = timing.seconds
-            result = replace(trial, computed=solution.n_products, **timing._asdict())
+            took = timing.seconds or 0.0
+            result = replace(trial, computed=solution.n_products, **asdict(timing))
             yield _judged(result, solution, known, reference.floor or 0.0)
         if took > longest:
             too_slow = f"took {took:.2g} s at {setting:g}: more than {longest:g} s"

@@ -6,6 +6,7 @@ K = 1, unit mass, the exact law. Dimensionless.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -13,16 +14,15 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from pydantic import Field
 from scipy import optimize
 
 from stickslip import sim
-from stickslip.analysis.style import CYCLE, GREY, styled, subplots
+from stickslip.analysis.style import CYCLE, GREY, WIDTH, panel
 from stickslip.pipeline.scene.toml import Count
 from stickslip.workflows.gallery.charts import ChartScene, Say, Shown
-from stickslip.workflows.gallery.charts.claims import Claim, every, share, table, told, verdict_of
-from stickslip.workflows.gallery.charts.runner import frame
+from stickslip.workflows.gallery.charts.claims import Claim, every, judged, share, table, told, verdict_of
+from stickslip.workflows.gallery.charts.runner import frames
 from stickslip.workflows.gallery.field.forced import Forced, State, most_friction, sliding_cycle
 
 EXACT = 1e-12  # relative: the tolerance of the runs
@@ -157,19 +157,10 @@ class OneBlockScene(ChartScene):
 
     def show(self, measured: Measured) -> Shown:
         """Tables: `claims`, `periods`, `sliding`, `stability`, `shifted`, `stops`."""
-        judged = [{"claim": claim.__name__} | claim(measured) for claim in _CLAIMS]
-        tables = {"claims": table(judged)} | {
-            name: frame(getattr(measured, name), row)
-            for name, row in (
-                ("periods", Period),
-                ("sliding", Sliding),
-                ("stability", Stability),
-                ("shifted", Shifted),
-                ("stops", Stops),
-            )
-        }
-        facts: dict[str, Any] = {"claims": judged, "beside": _BESIDE}
-        return Shown(facts, tables, {"one_block": partial(draw, self, measured)})
+        claims = judged(_CLAIMS, measured)
+        rows = frames(measured, "periods", "sliding", "stability", "shifted", "stops")
+        figures = {"one_block": partial(draw, self, measured)}
+        return Shown({"claims": claims, "beside": _BESIDE}, {"claims": table(claims)} | rows, figures)
 
 
 # ---------------------------------------------------------------------------------------------- static friction
@@ -368,13 +359,11 @@ _CLAIMS = (free_period, damped_period, amplitude, boundary, stable, continuum, s
 # ---------------------------------------------------------------------------------------------- figures
 
 
-def draw(scene: OneBlockScene, measured: Measured) -> Figure:
+@panel(3.4, WIDTH, ncols=2)
+def draw(axes: Sequence[Axes], scene: OneBlockScene, measured: Measured) -> None:
     """Stops a cycle over frequency and friction, and the basin of steady sliding."""
-    with styled():
-        figure, axes = subplots(1, 2, 3.4)
-        _draw_stops(axes[0][0], scene, measured)
-        _draw_basin(axes[0][1], measured.basin)
-    return figure
+    _draw_stops(axes[0], scene, measured)
+    _draw_basin(axes[1], measured.basin)
 
 
 def _draw_stops(ax: Axes, scene: OneBlockScene, measured: Measured) -> None:
@@ -383,15 +372,8 @@ def _draw_stops(ax: Axes, scene: OneBlockScene, measured: Measured) -> None:
     ax.plot(frequencies, bound, color="black", linewidth=0.8)
     counts = sorted({stop.stops for stop in measured.stops if stop.stops is not None})
     for k, n in enumerate(counts):
-        points = [stop for stop in measured.stops if stop.stops == n]
-        ax.plot(
-            [point.frequency for point in points],
-            [point.friction for point in points],
-            "o",
-            markersize=2.5,
-            color=CYCLE[k % len(CYCLE)],
-            label=str(n),
-        )
+        points = np.array([(stop.frequency, stop.friction) for stop in measured.stops if stop.stops == n])
+        ax.plot(*points.T, "o", markersize=2.5, color=CYCLE[k % len(CYCLE)], label=str(n))
     ax.set(xscale="log", title="(a) stops a cycle of the force", xlabel="frequency Ω", ylabel="friction S")
     ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=7, handletextpad=0.1)
 

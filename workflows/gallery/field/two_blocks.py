@@ -8,24 +8,24 @@ that from one episode to the next the state is one number, the difference of str
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import islice
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 from pydantic import Field
 
 from stickslip import sim
 from stickslip.analysis.stats.estimates import over_matrices, ratio
-from stickslip.analysis.style import CYCLE, GREY, legend, styled, subplots
+from stickslip.analysis.style import CYCLE, GREY, WIDTH, legend, panel
 from stickslip.pipeline.scene.toml import Count, Positive, PositiveNumbers
 from stickslip.sim.episodes import spans
 from stickslip.workflows.gallery.charts import ChartScene, Say, Shown
-from stickslip.workflows.gallery.charts.claims import CONFIDENCE, Claim, every, share, table, told
-from stickslip.workflows.gallery.charts.runner import frame
+from stickslip.workflows.gallery.charts.claims import CONFIDENCE, Claim, every, judged, share, table, told
+from stickslip.workflows.gallery.charts.runner import frames
 from stickslip.workflows.gallery.field import cycles
 
 TOL = 1e-12
@@ -91,6 +91,10 @@ class Pair:
             yield (quake := self.next(difference))
             difference = quake.after
 
+    def slope(self, difference: float) -> float:
+        """dD'/dD."""
+        return cycles.slope(lambda x: self.next(x).after, difference, _WIDTH * self.drop)
+
 
 @dataclass(frozen=True)
 class Together:
@@ -138,7 +142,7 @@ class Unequal:
 class Measured:
     """All that the chart is made of."""
 
-    together: list[Together]
+    homogeneous: list[Together]
     ends: list[End]
     unequal: list[Unequal]
 
@@ -193,15 +197,10 @@ class TwoBlocksScene(ChartScene):
 
     def show(self, measured: Measured) -> Shown:
         """Tables: `claims`, `ends`, `homogeneous`, `unequal`."""
-        judged = [{"claim": claim.__name__} | claim(measured) for claim in _CLAIMS]
-        facts = {"claims": judged, "kinds": kinds(measured)}
-        tables = {
-            "claims": table(judged),
-            "ends": frame(measured.ends, End),
-            "homogeneous": frame(measured.together, Together),
-            "unequal": frame(measured.unequal, Unequal),
-        }
-        return Shown(facts, tables, {"two_blocks": partial(draw, self, measured)})
+        claims = judged(_CLAIMS, measured)
+        tables = {"claims": table(claims)} | frames(measured, "ends", "homogeneous", "unequal")
+        figures = {"two_blocks": partial(draw, self, measured)}
+        return Shown({"claims": claims, "kinds": kinds(measured)}, tables, figures)
 
 
 # ---------------------------------------------------------------------------------------------- measuring
@@ -221,9 +220,8 @@ def multiplier(coupling: float, drop: float, speed: float) -> float:
 def homogeneous(pair: Pair) -> Together:
     """Where the belt, not the block that leaves first, takes the other one along: there D' is linear in D."""
     small = 0.01 * pair.speed**2 / (pair.coupling * pair.drop * (1 + 2 * pair.coupling))
-    return Together(
-        pair.coupling, abs(pair.next(small).after) / small, multiplier(pair.coupling, pair.drop, pair.speed)
-    )
+    closed = multiplier(pair.coupling, pair.drop, pair.speed)
+    return Together(pair.coupling, abs(pair.next(small).after) / small, closed)
 
 
 def end(pair: Pair, start: float, episodes: int, asymmetry: float | None = None) -> End:
@@ -234,10 +232,10 @@ def end(pair: Pair, start: float, episodes: int, asymmetry: float | None = None)
         return End(pair.coupling, share, "none found")
     n = len(cycle)
     differences, sizes = [quake.before for quake in cycle], sorted(quake.size for quake in cycle)
-    slopes = [cycles.slope(lambda x: pair.next(x).after, quake.before, _WIDTH * pair.drop) for quake in cycle]
+    slopes = [pair.slope(difference) for difference in differences]
     survives = None
     if asymmetry is not None:
-        perturbed = _cycle(Pair(pair.coupling, pair.drop, pair.speed, 1 + asymmetry), differences[0], 4 * _LONGEST)
+        perturbed = _cycle(replace(pair, unequal=1 + asymmetry), differences[0], 4 * _LONGEST)
         survives = perturbed is not None and sorted(quake.size for quake in perturbed) == sizes
     return End(
         pair.coupling, share, _kind(differences, sizes, pair.drop), n, max(map(abs, differences)) / pair.drop,
@@ -250,9 +248,8 @@ def _cycle(pair: Pair, start: float, episodes: int) -> list[Quake] | None:
     orbit: list[Quake] = []
     for quake in islice(pair.orbit(start), episodes):
         orbit.append(quake)
-        n = cycles.period(
-            [[episode.before, episode.size * pair.drop] for episode in orbit], _SAME * pair.drop, _LONGEST
-        )
+        points = [[episode.before, episode.size * pair.drop] for episode in orbit]
+        n = cycles.period(points, _SAME * pair.drop, _LONGEST)
         if n is not None:
             return orbit[-n:]
     return None
@@ -274,10 +271,7 @@ def chaos(pair: Pair, start: float) -> Unequal:
     n = cycles.period([quake.before for quake in orbit], _SAME * pair.drop, _LONGEST)
     if n is not None:
         return Unequal(pair.coupling, n)
-    slopes = [
-        cycles.slope(lambda x: pair.next(x).after, quake.before, _WIDTH * pair.drop) for quake in orbit[_SETTLE:]
-    ]
-    sums = np.array([[np.log(max(abs(slope), 1e-12)), 1.0] for slope in slopes])
+    sums = np.array([[np.log(max(abs(pair.slope(quake.before)), 1e-12)), 1.0] for quake in orbit[_SETTLE:]])
     mean = over_matrices(ratio, sums.reshape(-1, 8, 2).sum(axis=1), CONFIDENCE)
     return Unequal(pair.coupling, None, mean.value, mean.low, mean.high)
 
@@ -286,12 +280,12 @@ def chaos(pair: Pair, start: float) -> Unequal:
 
 
 def unstable(measured: Measured) -> Claim:
-    claim = share(sum(cycle.multiplier > 1 for cycle in measured.together), len(measured.together))
-    off = [abs(cycle.multiplier / cycle.closed - 1) for cycle in measured.together]
+    rows = measured.homogeneous
+    claim = share(sum(row.multiplier > 1 for row in rows), len(rows))
     return claim | {
         "verdict": told(claim["low"], claim["high"], ALMOST_ALWAYS),
-        "off": float(np.median(off)),
-        "least": min(cycle.multiplier for cycle in measured.together),
+        "off": float(np.median([abs(row.multiplier / row.closed - 1) for row in rows])),
+        "least": min(row.multiplier for row in rows),
     }
 
 
@@ -351,46 +345,34 @@ def kinds(measured: Measured) -> list[dict[str, Any]]:
     rows = []
     for kind, _ in Counter(end.kind for end in measured.ends).most_common():
         ends = [end for end in measured.ends if end.kind == kind]
-        slopes = [cycle.multiplier for cycle in ends if cycle.multiplier is not None]
+        slopes = [end.multiplier for end in ends if end.multiplier is not None]
         rows.append(
             {
                 "kind": kind,
                 **share(len(ends), len(measured.ends)),
                 "least": min(slopes, default=None),
                 "most": max(slopes, default=None),
-                "first": min(cycle.coupling for cycle in ends),
-                "last": max(cycle.coupling for cycle in ends),
+                "first": min(end.coupling for end in ends),
+                "last": max(end.coupling for end in ends),
             }
         )
     return rows
 
 
-def draw(scene: TwoBlocksScene, measured: Measured) -> Figure:
+@panel(3.2, WIDTH, ncols=2)
+def draw(axes: Sequence[Axes], scene: TwoBlocksScene, measured: Measured) -> None:
     """The multiplier of the homogeneous cycle over the coupling, and where each start ends."""
-    with styled():
-        figure, axes = subplots(1, 2, 3.2)
-        ax_cycle, ax_ends = axes[0]
-        low, high = scene.coupling
-        k = np.geomspace(low, high, 2000)
-        closed = [multiplier(coupling, scene.drop, scene.belt_speed) for coupling in k]
-        ax_cycle.loglog(k, closed, color=GREY, linewidth=0.8, label="closed form")
-        points = np.array([(cycle.coupling, cycle.multiplier) for cycle in measured.together])
-        ax_cycle.loglog(*points.T, ".", color=CYCLE[0], markersize=3, label="exact engine")
-        ax_cycle.axhline(1.0, color="black", linewidth=0.8, linestyle="--", label="stable below")
-        ax_cycle.set(title="(a) both blocks together: |dD′/dD|", xlabel="coupling k", ylim=(0.3, None))
-        ax_cycle.legend(loc="lower left", fontsize=7)
-        for colour, row in zip(CYCLE, kinds(measured), strict=False):
-            ends = [end for end in measured.ends if end.kind == row["kind"]]
-            ax_ends.semilogx(
-                [cycle.coupling for cycle in ends],
-                [cycle.share for cycle in ends],
-                "o",
-                color=colour,
-                markersize=3,
-                label=row["kind"],
-            )
-        ax_ends.set(
-            title="(b) where each start ends", xlabel="coupling k", ylabel="|D| at the start, over the largest"
-        )
-        legend(figure, 4, [ax_ends])
-    return figure
+    ax_cycle, ax_ends = axes
+    k = np.geomspace(scene.coupling[0], scene.coupling[1], 2000)
+    closed = [multiplier(coupling, scene.drop, scene.belt_speed) for coupling in k]
+    ax_cycle.loglog(k, closed, color=GREY, linewidth=0.8, label="closed form")
+    points = np.array([(cycle.coupling, cycle.multiplier) for cycle in measured.homogeneous])
+    ax_cycle.loglog(*points.T, ".", color=CYCLE[0], markersize=3, label="exact engine")
+    ax_cycle.axhline(1.0, color="black", linewidth=0.8, linestyle="--", label="stable below")
+    ax_cycle.set(title="(a) both blocks together: |dD′/dD|", xlabel="coupling k", ylim=(0.3, None))
+    ax_cycle.legend(loc="lower left", fontsize=7)
+    for colour, row in zip(CYCLE, kinds(measured), strict=False):
+        points = np.array([(end.coupling, end.share) for end in measured.ends if end.kind == row["kind"]])
+        ax_ends.semilogx(*points.T, "o", color=colour, markersize=3, label=row["kind"])
+    ax_ends.set(title="(b) where each start ends", xlabel="coupling k", ylabel="|D| at the start, over the largest")
+    legend([ax_ends], 4)

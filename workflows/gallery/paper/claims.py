@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,17 +26,21 @@ from stickslip.workflows.gallery.charts.claims import (
     Claim,
     alike,
     every,
+    judged,
+    numbers,
     share,
     told,
     verdict_of,
 )
 from stickslip.workflows.gallery.paper import figures_1_2
-from stickslip.workflows.gallery.paper.asked import STRONGEST, Asked, Measured
 from stickslip.workflows.gallery.paper.figures_3_to_5 import PAPER_GAMMA, Cascades, Row, by_definition, escapes
 from stickslip.workflows.gallery.paper.runs import SCALES
 
-#: What the paper says: figure 3 (ii), and figure 4 (iv) at 5%.
-BRINK, PERIOD, STRONG = 150.0, 20.0, 0.05
+if TYPE_CHECKING:
+    from stickslip.workflows.gallery.paper.chart import Measured, PaperScene
+
+#: What the paper says: figure 3 (ii), and figure 4 (iv) at 5%; its strongest change.
+BRINK, PERIOD, STRONG, STRONGEST = 150.0, 20.0, 0.05, 0.1
 NEAR = 1.25  # a time is near another within this factor
 MOST = 0.5  # a share above it is what happens
 MARGIN = 0.1  # of mean n_stick: what differs by less is alike
@@ -49,14 +54,10 @@ LITTLE = ("r", "constants")  # what is changed a little: the widths of the sigmo
 _KINDS = {name: "moving" if name in MOVING else name for name in (*WATCHED, FAILED)}
 
 
-def judge(scene: Asked, measured: Measured) -> list[Claim]:
+def judge(scene: PaperScene, measured: Measured) -> list[Claim]:
     """Each claim of the figures asked for: its name, `figure`, `verdict`, and the facts that its words need."""
-    return [
-        {"claim": name.__name__, "figure": figure} | name(scene, measured)
-        for figure, names in _CLAIMS.items()
-        if figure in scene.figures
-        for name in names
-    ]
+    figures = (figure for figure in _CLAIMS if figure in scene.figures)
+    return [claim | {"figure": k} for k in figures for claim in judged(_CLAIMS[k], scene, measured)]
 
 
 def _median(times: Sequence[float]) -> Estimate:
@@ -76,23 +77,23 @@ def _of(measured: Measured, study: str, n: int | None = None) -> list[Row]:
 # ---------------------------------------------------------------------------------------------- one block and two
 
 
-def one_block(scene: Asked, measured: Measured) -> Claim:
+def one_block(scene: PaperScene, measured: Measured) -> Claim:
     leaves = all(portrait.exit in portrait.stick for portrait in measured.portraits)
     return {"verdict": verdict_of(leaves), "portraits": measured.portraits}
 
 
-def corners(scene: Asked, measured: Measured) -> Claim:
+def corners(scene: PaperScene, measured: Measured) -> Claim:
     off = [corner.misprint for parallelogram in measured.parallelograms for corner in parallelogram.corners]
     return {"verdict": verdict_of(max(off) < 1e-9, CORRECTED), "low": min(off), "high": max(off)}
 
 
-def double_exit(scene: Asked, measured: Measured) -> Claim:
+def double_exit(scene: PaperScene, measured: Measured) -> Claim:
     corners = [corner for parallelogram in measured.parallelograms for corner in parallelogram.corners]
     exits = {corner.label for corner in corners if corner.kind == "double exit"}
     return {"verdict": verdict_of(exits == {"+-"}, CORRECTED if exits == {"++"} else UNTOLD)}
 
 
-def determinacy(scene: Asked, measured: Measured) -> Claim:
+def determinacy(scene: PaperScene, measured: Measured) -> Claim:
     (measure,) = measured.uniqueness
     growth = max(measure.apart) / figures_1_2.APART
     return {
@@ -107,11 +108,11 @@ def determinacy(scene: Asked, measured: Measured) -> Claim:
 # ---------------------------------------------------------------------------------------------- figure 3
 
 
-def few_come_to_rest(scene: Asked, measured: Measured) -> Claim:
+def few_come_to_rest(scene: PaperScene, measured: Measured) -> Claim:
     return _rest(_of(measured, "long", scene.n[0]))
 
 
-def more_come_to_rest(scene: Asked, measured: Measured) -> Claim:
+def more_come_to_rest(scene: PaperScene, measured: Measured) -> Claim:
     """Most do, and half of these near the paper's time."""
     claim = _rest(_of(measured, "long", scene.n[-2:][0]))
     half = _median(claim["ends"])
@@ -124,7 +125,7 @@ def _rest(rows: Sequence[Row]) -> Claim:
     return came | {"verdict": told(came["low"], came["high"], MOST), "ends": ends, "lulls": lulls}
 
 
-def many_keep_on(scene: Asked, measured: Measured) -> Claim:
+def many_keep_on(scene: PaperScene, measured: Measured) -> Claim:
     going, beyond = _share(_of(measured, "long", scene.n[-1]), *MOVING), _of(measured, "long", scene.beyond)
     return going | {
         "verdict": told(going["low"], going["high"], MOST),
@@ -134,7 +135,7 @@ def many_keep_on(scene: Asked, measured: Measured) -> Claim:
     }
 
 
-def some_collapse(scene: Asked, measured: Measured) -> Claim:
+def some_collapse(scene: PaperScene, measured: Measured) -> Claim:
     rows = _of(measured, "long", scene.n[-1])
     came, away = _share(rows, COLLAPSED), _share(rows, DIVERGED)["found"]
     verdict = told(came["low"], came["high"], np.nextafter(0, 1), MOST)
@@ -143,7 +144,7 @@ def some_collapse(scene: Asked, measured: Measured) -> Claim:
     return came | {"verdict": verdict, "away": away}
 
 
-def _changed(scene: Asked, measured: Measured, study: str) -> list[Claim]:
+def _changed(scene: PaperScene, measured: Measured, study: str) -> list[Claim]:
     """By setting of a study its fates, and the mean n_stick less that of the same matrices unchanged."""
     bases = {row.matrix: row for row in _of(measured, "long", scene.n[-1])}
     rows = _of(measured, study)
@@ -179,7 +180,7 @@ def _against(rows: Sequence[Row], bases: Mapping[int, Row]) -> Claim:
     }
 
 
-def key_parameters(scene: Asked, measured: Measured) -> Claim:
+def key_parameters(scene: PaperScene, measured: Measured) -> Claim:
     """A constant is key if halving or doubling it changes the fate; a few runs cannot show that it never does."""
     rows = _changed(scene, measured, "keys")
     key = {name: any(row["is_other"] for row in rows if row["setting"].startswith(name)) for name in SCALES}
@@ -188,7 +189,7 @@ def key_parameters(scene: Asked, measured: Measured) -> Claim:
     return {"verdict": verdict, "rows": rows, "key": key}
 
 
-def details(scene: Asked, measured: Measured) -> Claim:
+def details(scene: PaperScene, measured: Measured) -> Claim:
     """What the paper lists although it may be drawn differently: the start and the friction of each block.
 
     How K is drawn is not such a detail; the six readings of it are listed too, by n: which end as in figure 3?
@@ -214,7 +215,7 @@ def details(scene: Asked, measured: Measured) -> Claim:
 # ---------------------------------------------------------------------------------------------- figure 4
 
 
-def sensitive(scene: Asked, measured: Measured) -> Claim:
+def sensitive(scene: PaperScene, measured: Measured) -> Claim:
     """Whether runs with a small change part from the unchanged ones by `t_shown`: under each change most do."""
     shares = {}
     for change in LITTLE:
@@ -230,7 +231,7 @@ def sensitive(scene: Asked, measured: Measured) -> Claim:
     }
 
 
-def robust(scene: Asked, measured: Measured) -> Claim:
+def robust(scene: PaperScene, measured: Measured) -> Claim:
     """Whether a small change moves mean n_stick by less than `BOUND` of what another matrix would, in mean squares.
 
     Replicates are the unchanged run and one from another start, and only
@@ -266,7 +267,7 @@ def robust(scene: Asked, measured: Measured) -> Claim:
     }
 
 
-def oscillations(scene: Asked, measured: Measured) -> Claim:
+def oscillations(scene: PaperScene, measured: Measured) -> Claim:
     """Half of the runs have a period near the paper's; beside it the runs without noise and with the least."""
     claim = _dampings(scene, measured, STRONG)
     runs = _of(measured, "base", scene.n[-1]) + _of(measured, "dampings")
@@ -286,7 +287,7 @@ def oscillations(scene: Asked, measured: Measured) -> Claim:
     }
 
 
-def collapse_at_strongest(scene: Asked, measured: Measured) -> Claim:
+def collapse_at_strongest(scene: PaperScene, measured: Measured) -> Claim:
     """Most collapse; or, corrected, run away: under both readings of what is moved, as the paper names neither."""
     claim = _dampings(scene, measured, STRONGEST)
     by_size = [row for row in _of(measured, "dampings") if row.size == STRONGEST]
@@ -301,7 +302,7 @@ def collapse_at_strongest(scene: Asked, measured: Measured) -> Claim:
     return claim | {"verdict": by_reading.pop() if len(by_reading) == 1 else UNTOLD, "scaled": scaled}
 
 
-def _dampings(scene: Asked, measured: Measured, size: float) -> Claim:
+def _dampings(scene: PaperScene, measured: Measured, size: float) -> Claim:
     """Under noise of a size on all dampings how many run away, and when."""
     rows = [row for row in _of(measured, "dampings") if row.size == size]
     if not rows:
@@ -310,7 +311,7 @@ def _dampings(scene: Asked, measured: Measured, size: float) -> Claim:
     return _share(rows, DIVERGED) | {"ends": ends, "escapes": escapes(measured.runs, scene.t_few)}
 
 
-def paths_and_laws(scene: Asked, measured: Measured) -> Claim:
+def paths_and_laws(scene: PaperScene, measured: Measured) -> Claim:
     """Another model of the switch has no path in common, but the same law: exits that two runs share, and statistics.
 
     All three are needed: shared exits are those of chance to within `COMMON`, mean n_stick and gamma alike.
@@ -326,12 +327,9 @@ def paths_and_laws(scene: Asked, measured: Measured) -> Claim:
     beyond = over_matrices(lambda s: (s[:, 0] - s[:, 1]) / s[:, 2], rows, CONFIDENCE)
     mean = over_matrices(ratio, means, CONFIDENCE)
     steep = over_matrices(lambda s: law_gamma(s[:, :2]) / law_gamma(s[:, 2:]) - 1, sizes, CONFIDENCE)
-    return {
+    return numbers(shared) | {
         "verdict": every([alike(beyond, COMMON), alike(mean, MARGIN), alike(steep, SAME)]),
         "tried": len(pairings),
-        "value": shared.value,
-        "low": shared.low,
-        "high": shared.high,
         "chance": chance.value,
         "mean": mean,
         "gamma": steep,
@@ -339,7 +337,7 @@ def paths_and_laws(scene: Asked, measured: Measured) -> Claim:
     }
 
 
-def sigmoid(scene: Asked, measured: Measured) -> Claim:
+def sigmoid(scene: PaperScene, measured: Measured) -> Claim:
     """Other sigmoids against tanh on the same matrices: fates, and the mean n_stick."""
     bases = {row.matrix: row for row in _of(measured, "sigmoids") if row.law == "sigmoid"}
     laws = dict.fromkeys(row.law for row in _of(measured, "sigmoids") if row.law != "sigmoid")
@@ -354,7 +352,7 @@ def sigmoid(scene: Asked, measured: Measured) -> Claim:
 READINGS = ("decreases", "length")
 
 
-def form(scene: Asked, measured: Measured) -> Claim:
+def form(scene: PaperScene, measured: Measured) -> Claim:
     """The variance of sizes is an exponential's to within `FORM`: by each reading at each step."""
     rows = [row for row in measured.cascades if row.excess is not None]
     events = by_definition(rows, "events")
@@ -376,7 +374,7 @@ def _ends(rows: Sequence[Cascades], low: str, high: str) -> tuple[float | None, 
     return min(lows, default=None), max(highs, default=None)
 
 
-def gamma(scene: Asked, measured: Measured) -> Claim:
+def gamma(scene: PaperScene, measured: Measured) -> Claim:
     """By falls, as the paper counts; it leaves the step and pauses open, so all readings together have to say it."""
     rows = [row for row in measured.cascades if row.definition in ("events", *READINGS) and row.gamma is not None]
     events = by_definition(rows, "events")
@@ -403,39 +401,33 @@ def gamma(scene: Asked, measured: Measured) -> Claim:
     }
 
 
-def clusters(scene: Asked, measured: Measured) -> Claim:
+def clusters(scene: PaperScene, measured: Measured) -> Claim:
     """gamma by events over that of the toss of a coin; clusters would make it shallower, and by much."""
     law = by_definition(measured.cascades, "events")
     if law is None or law.gamma is None or law.low is None or law.high is None:
         return {"verdict": UNTOLD, "value": None}
-    value, low, high = (rate / LN2 - 1.0 for rate in (law.gamma, law.low, law.high))
-    return {
-        "verdict": told(low, high, most=CLUSTERED),
-        "value": value,
-        "low": low,
-        "high": high,
-        "clustered": -CLUSTERED,
-    }
+    over = Estimate(law.gamma, law.low, law.high).under(lambda rate: rate / LN2 - 1.0)
+    return numbers(over) | {"verdict": told(over.low, over.high, most=CLUSTERED), "clustered": -CLUSTERED}
 
 
-def cascade_bound(scene: Asked, measured: Measured) -> Claim:
+def cascade_bound(scene: PaperScene, measured: Measured) -> Claim:
     law = by_definition(measured.cascades, "events")
     largest = law.largest if law else 0
     return {"verdict": verdict_of(largest > scene.n[-1], CORRECTED), "found": largest, "n": scene.n[-1]}
 
 
-def two_modes(scene: Asked, measured: Measured) -> Claim:
+def two_modes(scene: PaperScene, measured: Measured) -> Claim:
     modes = next(flow.modes for flow in measured.blow_ups if flow.law == "modified")
     stable, saddles = ([mode[:2] for mode in modes if mode[2] == is_stable] for is_stable in (True, False))
     return {"verdict": verdict_of(len(stable) == 2), "stable": stable, "saddles": saddles}
 
 
-def mode_ends(scene: Asked, measured: Measured) -> Claim:
+def mode_ends(scene: PaperScene, measured: Measured) -> Claim:
     jumps = [event for run in measured.slow_runs for event in run.events if event.kind == "jump"]
     return {"verdict": verdict_of(not jumps, CORRECTED), "jumps": jumps}
 
 
-_CLAIMS: Mapping[int, tuple[Callable[[Asked, Measured], Claim], ...]] = {
+_CLAIMS: Mapping[int, tuple[Callable[[PaperScene, Measured], Claim], ...]] = {
     1: (one_block,),
     2: (corners, double_exit, determinacy),
     3: (few_come_to_rest, more_come_to_rest, many_keep_on, some_collapse, key_parameters, details),

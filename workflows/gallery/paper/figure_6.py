@@ -31,8 +31,8 @@ class BlowUp:
     """Figure 6: the fast field on a grid of (lambda_1, lambda_2), and modes as (lambda_1, lambda_2, is stable)."""
 
     law: str
-    axis: list[float]
-    rate: list[list[list[float]]]
+    axis: Floats
+    rate: Floats
     modes: list[tuple[float, float, bool]]
 
 
@@ -59,8 +59,8 @@ class SlowRun:
     """
 
     side: int
-    t: list[float]
-    lam: list[list[float]]
+    t: Floats
+    lam: Floats
     events: list[SlowEvent]
 
 
@@ -74,7 +74,7 @@ def blow_ups() -> list[BlowUp]:
         blow_up = Blowup(law, np.ones(2))
         rate = np.array([[blow_up.rhs(force, np.array([x, y])) for x in axis] for y in axis])
         modes = [(float(m.lam[0]), float(m.lam[1]), m.is_stable) for m in blow_up.sticking_modes(force)]
-        flows.append(BlowUp(name, axis.tolist(), np.moveaxis(rate, 2, 0).tolist(), modes))
+        flows.append(BlowUp(name, axis, np.moveaxis(rate, 2, 0), modes))
     return flows
 
 
@@ -96,14 +96,13 @@ def slow_run(side: int) -> SlowRun:
     start = equilibrium + expm(-BEFORE * system.slip_matrix()) @ (at_belt - equilibrium)
     run = run_with_law(system, law, start[:2], start[2:], BEFORE + AFTER)
     blow_up = Blowup(law, system.friction)
-    held_by = [(segment, *_mode_of(system, blow_up, segment)) for segment in run.segments if not segment.slip.any()]
-    times = [float(t) - BEFORE for _, when, _ in held_by for t in when]
-    lam = [point for _, _, path in held_by for point in path]
+    paths = [_mode_of(system, blow_up, segment) for segment in run.segments if not segment.slip.any()]
+    times, lam = (np.concatenate(pieces) for pieces in zip(*paths, strict=True))
     events = [
         SlowEvent(side, _tidy(e.t - BEFORE), e.kind, e.cause, e.block, *_tidy(e.lam_before), *_tidy(e.lam))
         for e in run.events
     ]
-    return SlowRun(side, times, np.array(lam).T.tolist(), events)
+    return SlowRun(side, times - BEFORE, lam.T, events)
 
 
 def _tidy(value: Any) -> Any:
@@ -140,22 +139,15 @@ def modes_in_time() -> list[tuple[float, float, bool]]:
 @panel()
 def fast_flow(ax: Axes, flow: BlowUp) -> None:
     """The fast flow in the box of (lambda_1, lambda_2), stable modes filled, others open."""
-    axis = np.asarray(flow.axis)
-    right, up = np.array(flow.rate)
-    ax.streamplot(axis, axis, right, up, color=BLUE, density=0.7, linewidth=0.8, broken_streamlines=False)
+    right, up = flow.rate
+    ax.streamplot(flow.axis, flow.axis, right, up, color=BLUE, density=0.7, linewidth=0.8, broken_streamlines=False)
     for is_stable, label in ((True, "sticking mode, stable"), (False, "sticking mode, saddle")):
         modes = [(x, y) for x, y, holds in flow.modes if holds == is_stable]
         if modes:
             ax.plot(*zip(*modes, strict=True), "o", color=ORANGE if is_stable else "white", markersize=8, zorder=5,
                     markeredgecolor="black", linestyle="none", label=label)  # fmt: skip
-    ax.set(
-        title=f"({'a' if flow.law == 'Coulomb' else 'b'}) {flow.law} law",
-        xlabel="λ₁",
-        ylabel="λ₂",
-        xlim=(-1, 1),
-        ylim=(-1, 1),
-        aspect="equal",
-    )
+    title = f"({'a' if flow.law == 'Coulomb' else 'b'}) {flow.law} law"
+    ax.set(title=title, xlabel="λ₁", ylabel="λ₂", xlim=(-1, 1), ylim=(-1, 1), aspect="equal")
     ax.spines[["top", "right"]].set_visible(True)
     ax.figure.legend(loc="outside lower center", ncols=2, fontsize=7)
 
@@ -167,9 +159,8 @@ def slow_modes(ax: Axes, points: Sequence[tuple[float, float, bool]], runs: Sequ
         values = [(t, y) for t, y, is_stable in points if is_stable == is_wanted]
         ax.plot(*np.array(values).reshape(-1, 2).T, marker, color=GREY, markersize=size, alpha=0.4, label=label)
     for k, run in enumerate(runs):
-        t, lam = np.array(run.t), np.array(run.lam[1])
-        early = t <= SHOWN
+        early = run.t <= SHOWN
         label = "run from λ = " + ("(1, 1)" if run.side > 0 else "(−1, −1)")
-        ax.plot(t[early], lam[early], color=CYCLE[k], linestyle="-" if k == 0 else "--", linewidth=2, label=label)
+        ax.plot(run.t[early], run.lam[1, early], ("-", "--")[k], color=CYCLE[k], linewidth=2, label=label)
     ax.set(title="(c) modified law in slow time", xlabel="time t", ylabel="λ₂")
     ax.legend(fontsize=7, loc="center right")

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from stickslip import sim
-from stickslip.analysis.style import BLUE, CYCLE, GREY, ORANGE, PURPLE, panel
+from stickslip.analysis.style import BLUE, CYCLE, GREY, ORANGE, PURPLE, legend, panel
 from stickslip.workflows.gallery.charts.peers import Floats
 from stickslip.workflows.gallery.theory import folds
 from stickslip.workflows.gallery.theory.blowup import continuations
@@ -33,18 +33,7 @@ class Portrait:
     v: float
     stick: list[float]
     exit: float
-    paths: list[tuple[list[float], list[float], bool]]
-
-
-@dataclass(frozen=True)
-class Path2:
-    """One run of two blocks, sampled: case "a", "b" or "c" of figure 2; events are (t, block, mode)."""
-
-    case: str
-    t: list[float]
-    z: list[list[float]]
-    w: list[list[float]]
-    events: list[tuple[float, int, int]]
+    paths: list[tuple[Floats, Floats, bool]]
 
 
 @dataclass(frozen=True)
@@ -76,11 +65,11 @@ class Corner:
 
 @dataclass(frozen=True)
 class Parallelogram:
-    """Figure 2 under one sign: corners, in order around, and the cases (a), (b), (c)."""
+    """Figure 2 under one sign: corners, in order around, and the runs, sampled, of the cases a, b and c."""
 
     sign: int
     corners: list[Corner]
-    paths: list[Path2]
+    runs: dict[str, sim.Run]
 
 
 @dataclass(frozen=True)
@@ -114,17 +103,12 @@ def portrait(v: float) -> Portrait:
     leaves = stick.exit
     assert leaves is not None  # the belt moves
     turn = -np.sign(v)
-    starts = [
-        (3.0 * turn, 1.0 * turn),
-        (-3.0 * turn, -0.6 * turn),
-        (-1.6 * turn, 1.2 * turn),
-        (2.2 * turn, -1.0 * turn),
-    ]
+    starts = [(turn * z0, turn * w0) for z0, w0 in ((3.0, 1.0), (-3.0, -0.6), (-1.6, 1.2), (2.2, -1.0))]
     times = np.linspace(0.0, 9.0, 181)
     paths = []
     for z0, w0 in [*starts, (leaves, v)]:
         path = sim.simulate(system, z0, w0, times[-1], t_eval=times, stop_early=False).samples
-        paths.append((path.z[:, 0].tolist(), path.w[:, 0].tolist(), (z0, w0) == (leaves, v)))
+        paths.append((path.z[:, 0], path.w[:, 0], (z0, w0) == (leaves, v)))
     return Portrait(v, [stick.low, stick.high], leaves, paths)
 
 
@@ -150,13 +134,10 @@ def parallelogram(sign: Literal[1, -1]) -> Parallelogram:
     belt = np.full(2, V)
     starts = {"a": np.zeros(2), "b": corner(system, (1, 1)) - lead * belt, "c": corner(system, (1, -1))}
     times = np.linspace(0.0, 3.0, 301)
-    paths = []
-    for case, z0 in starts.items():
-        run = sim.simulate(system, z0, belt, times[-1], t_eval=times, stop_early=False)
-        z, w, events = run.samples.z, run.samples.w, run.events
-        changes = [(float(t), int(i), int(m)) for t, i, m in zip(events.t, events.block, events.mode, strict=True)]
-        paths.append(Path2(case, times.tolist(), z.T.tolist(), w.T.tolist(), changes))
-    return Parallelogram(sign, corners, paths)
+    runs = {
+        case: sim.simulate(system, z0, belt, times[-1], t_eval=times, stop_early=False) for case, z0 in starts.items()
+    }
+    return Parallelogram(sign, corners, runs)
 
 
 def uniqueness() -> Uniqueness:
@@ -201,53 +182,30 @@ def phase_portrait(ax: Axes, plane: Portrait) -> None:
     """Figure 1: z against z'; the stick interval thick, the exit point E marked, its path bold."""
     ax.axhline(plane.v, color=GREY, linestyle="--", linewidth=0.9, label="z' = v, crossed")
     for z, w, is_exit in plane.paths:
-        ax.plot(
-            z,
-            w,
-            color=ORANGE if is_exit else BLUE,
-            linewidth=2.4 if is_exit else 0.9,
-            zorder=3 if is_exit else 2,
-            label="path from E" if is_exit else "_",
-        )
-        _arrow(ax, z, w, ORANGE if is_exit else BLUE)
+        colour, width, label = (ORANGE, 2.4, "path from E") if is_exit else (BLUE, 0.9, "_")
+        ax.plot(z, w, color=colour, linewidth=width, zorder=2 + is_exit, label=label)
+        k = len(z) // 10  # where an arrow shows the direction
+        ax.annotate("", (z[k + 1], w[k + 1]), (z[k], w[k]), arrowprops={"arrowstyle": "-|>", "color": colour})
     ax.plot(
         plane.stick, [plane.v, plane.v], color="black", linewidth=3.0, solid_capstyle="butt", zorder=4, label="sticks"
     )
     ax.plot([plane.exit], [plane.v], "o", color=ORANGE, markeredgecolor="black", markersize=6, zorder=5)
-    ax.annotate(
-        "E",
-        (plane.exit, plane.v),
-        xytext=(0, 8 if plane.v > 0 else -14),
-        textcoords="offset points",
-        ha="center",
-        fontweight="bold",
-    )
-    ax.set(
-        title=f"({'i' if plane.v < 0 else 'ii'}) v = {plane.v:g}".replace("-", "−"),
-        xlabel="displacement z",
-        ylabel="velocity z'",
-    )
+    place = (0, 8 if plane.v > 0 else -14)
+    ax.annotate("E", (plane.exit, plane.v), place, textcoords="offset points", ha="center", fontweight="bold")
+    title = f"({'i' if plane.v < 0 else 'ii'}) v = {plane.v:g}".replace("-", "−")
+    ax.set(title=title, xlabel="displacement z", ylabel="velocity z'")
     ax.legend(loc="upper right" if plane.v < 0 else "lower left", fontsize=7)
-
-
-def _arrow(ax: Axes, x: Sequence[float], y: Sequence[float], colour: str) -> None:
-    """The direction of a path, a tenth of its points from the start."""
-    k = max(1, len(x) // 10)
-    if k + 1 < len(x):
-        ax.annotate("", (x[k + 1], y[k + 1]), (x[k], y[k]), arrowprops={"arrowstyle": "-|>", "color": colour})
 
 
 @panel(nrows=3, sharex=True)
 def velocities(axes: Sequence[Axes], plane: Parallelogram) -> None:
     """Figure 2: z' - v of both blocks in the cases (a), (b), (c); dotted: exits."""
-    for ax, path in zip(axes, plane.paths, strict=True):
-        for block, w in enumerate(path.w):
-            ax.plot(
-                path.t, np.asarray(w) - V, color=CYCLE[block], linestyle=_DASHES[block], label=f"block {block + 1}"
-            )
-        for t, block, mode in path.events:
+    for ax, (case, run) in zip(axes, plane.runs.items(), strict=True):
+        for block, w in enumerate(run.samples.w.T):
+            ax.plot(run.samples.t, w - V, _DASHES[block], color=CYCLE[block], label=f"block {block + 1}")
+        for t, block, mode in zip(run.events.t, run.events.block, run.events.mode, strict=True):
             ax.axvline(t, color=CYCLE[block], linestyle=":" if mode else "-", linewidth=0.8)
-        ax.set_title(f"({path.case}) {_sign(plane)}")
+        ax.set_title(f"({case}) {_sign(plane)}")
     axes[0].legend(fontsize=7, loc="upper left")
     axes[-1].set_xlabel("time t")
     axes[0].figure.supylabel("relative velocity z' − v", fontsize=9)
@@ -267,13 +225,8 @@ def region(ax: Axes, plane: Parallelogram) -> None:
         # of two neighbours one lambda is the same: that block's fold is the edge between them
         block = 0 if corner.lambda_1 == plane.corners[following].lambda_1 else 1
         leaves = (corner.label[block] == "+") == (V < 0)
-        ax.plot(
-            *z[[k, following]].T,
-            color="black",
-            linewidth=1.4,
-            linestyle="-" if leaves else "--",
-            label="visible fold" if leaves else "invisible fold",
-        )
+        dash, label = ("-", "visible fold") if leaves else ("--", "invisible fold")
+        ax.plot(*z[[k, following]].T, dash, color="black", linewidth=1.4, label=label)
         along = (z[following] - z[k]) / span
         outward = np.array([along[1], -along[0]]) / np.hypot(*along)  # corners run counter-clockwise
         x, y = z[[k, following]].mean(axis=0) + 0.06 * outward * span
@@ -288,30 +241,20 @@ def region(ax: Axes, plane: Parallelogram) -> None:
         right = x > z[:, 0].mean()
         ax.annotate(f"{{{','.join(corner.label)}}}".replace("-", "−"), (x, y), xytext=(9 if right else -9, 5),
                     textcoords="offset points", ha="left" if right else "right", va="bottom", fontsize=8)  # fmt: skip
-    for k, path in enumerate(plane.paths):
-        colour = (BLUE, ORANGE, PURPLE)[k % 3]
-        n_points = int(np.searchsorted(path.t, _LEAVING, side="right"))
-        ax.plot(path.z[0][:n_points], path.z[1][:n_points], color=colour, linewidth=1.8, zorder=4,
-                linestyle=_DASHES[k], label=f"path ({path.case})")  # fmt: skip
-        ax.plot(path.z[0][0], path.z[1][0], ".", color=colour, zorder=6)
+    for (case, run), colour, dash in zip(plane.runs.items(), (BLUE, ORANGE, PURPLE), _DASHES, strict=True):
+        path = run.samples.z[run.samples.t <= _LEAVING]
+        ax.plot(*path.T, dash, color=colour, linewidth=1.8, zorder=4, label=f"path ({case})")
+        ax.plot(*path[0], ".", color=colour, zorder=6)
     low, high = z.min(axis=0), z.max(axis=0)
     margin = 0.3 * (high - low)
     reading = "eq. (6)" if plane.sign > 0 else "section 3"
-    ax.set(
-        title=f"{_sign(plane)}, {reading}",
-        xlabel="displacement z₁",
-        ylabel="z₂",
-        xlim=(low[0] - margin[0], high[0] + margin[0]),
-        ylim=(low[1] - margin[1], high[1] + margin[1]),
-    )
+    ends = dict(zip(("xlim", "ylim"), np.transpose([low - margin, high + margin]), strict=True))
+    ax.set(title=f"{_sign(plane)}, {reading}", xlabel="displacement z₁", ylabel="z₂", **ends)
     start = low - margin + np.array([0.66, 0.96]) * (span + 2 * margin)
-    ax.annotate(
-        "", start + 0.2 * float(span.min()) * np.sign(V), start, arrowprops={"arrowstyle": "-|>", "color": GREY}
-    )
+    drift = start + 0.2 * float(span.min()) * np.sign(V)
+    ax.annotate("", drift, start, arrowprops={"arrowstyle": "-|>", "color": GREY})
     ax.annotate("drift (v, v)", start, xytext=(4, 0), textcoords="offset points", fontsize=7, color=GREY, va="center")
-    handles, labels = ax.get_legend_handles_labels()
-    by_label = dict(zip(labels, handles, strict=True))
-    ax.figure.legend(by_label.values(), by_label, loc="outside lower center", ncols=3, fontsize=7)
+    legend([ax], 3, fontsize=7)
 
 
 def _sign(plane: Parallelogram) -> str:

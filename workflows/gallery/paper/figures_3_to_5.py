@@ -17,8 +17,9 @@ from stickslip.analysis.by_key import by_key
 from stickslip.analysis.models import fates
 from stickslip.analysis.series import cascades
 from stickslip.analysis.stats import dispersion, estimates, survival
-from stickslip.analysis.style import CYCLE, EXACT, GREY, PANEL, SMOOTHED, panel, size_axis, styled
+from stickslip.analysis.style import CYCLE, EXACT, GREY, SMOOTHED, panel, size_axis
 from stickslip.workflows.gallery.charts.claims import CONFIDENCE, Claim
+from stickslip.workflows.gallery.charts.peers import Floats
 from stickslip.workflows.gallery.paper.runs import Exits, Path
 
 PAPER_GAMMA = 0.74  # figure 5, where f is proportional to exp(-gamma dn)
@@ -66,8 +67,8 @@ class Trace:
     figure: int
     panel: str
     label: str
-    t: list[float]
-    n_stick: list[int]
+    t: Floats
+    n_stick: np.ndarray
     t_stop: float
 
 
@@ -189,9 +190,7 @@ def traces(path: Path, t_shown: float, n: Sequence[int]) -> Iterator[Trace]:
 
 def _trace(path: Path, figure: int, panel: str, label: str, t_shown: float) -> Trace:
     early = path.t <= t_shown
-    return Trace(
-        figure, panel, label, path.t[early].tolist(), path.n_stick[early].tolist(), min(t_shown, path.t_stop)
-    )
+    return Trace(figure, panel, label, path.t[early], path.n_stick[early], min(t_shown, path.t_stop))
 
 
 def cascade_laws(paths: Sequence[Path], n: int, dt: tuple[float, ...], t_burn: float) -> list[Cascades]:
@@ -220,12 +219,9 @@ def _law(law: cascades.Law, sizes: Sequence[np.ndarray]) -> Cascades:
 
 def pairings(paths: Sequence[Path], t_from: float) -> list[Pairing]:
     """Of each matrix that ran to its end under both laws with its exits kept."""
+    ended = [(path, path.exits) for path in paths if path.exits is not None and path.outcome == "finished"]
     exact, smoothed = (
-        {
-            path.ask.matrix: (path, path.exits)
-            for path in paths
-            if path.exits is not None and path.ask.law == law and path.outcome == "finished"
-        }
+        {path.ask.matrix: (path, exits) for path, exits in ended if path.ask.law == law}
         for law in ("coulomb", "sigmoid")
     )
     return [_pairing(*exact[k], *smoothed[k], t_from) for k in sorted(exact.keys() & smoothed.keys())]
@@ -261,16 +257,8 @@ def escapes(runs: Sequence[Row], t_end: float) -> list[Claim]:
         escaped = np.array([row.fate == fates.DIVERGED for row in rows])
         times = np.where(escaped, [row.t_stop for row in rows], t_end)
         half = survival.median(times, escaped, CONFIDENCE)
-        table.append(
-            {
-                "size": size,
-                "runs": len(rows),
-                "left": int(escaped.sum()),
-                "median": half.value,
-                "low": half.low,
-                "high": half.high,
-            }
-        )
+        count = {"size": size, "runs": len(rows), "left": int(escaped.sum())}
+        table.append(count | {"median": half.value, "low": half.low, "high": half.high})
     return table
 
 
@@ -285,43 +273,38 @@ def panels(traces: Sequence[Trace], number: int) -> list[Callable[[], Figure]]:
 
 
 def n_stick_panel(title: str, curves: Sequence[Trace]) -> Figure:
-    """n_stick(t): curves over each other, or below each other in figure 5.
+    """n_stick(t): curves over each other, or below each other in figure 5."""
+    if curves[0].figure == 5:
+        stacked = [[curve] for curve in curves]
+    else:
+        stacked = [sorted(curves, key=lambda curve: (curve.label != "unchanged", curve.label))]
+    return panel(nrows=len(stacked), sharex=True, squeeze=False)(_n_stick)(title, stacked)
 
-    The first curve is thick and grey if more than two are drawn, as what the others are held against.
-    """
-    is_stacked = curves[0].figure == 5
-    with styled():
-        figure = Figure(figsize=PANEL, layout="constrained")
-        axes = figure.subplots(len(curves) if is_stacked else 1, 1, sharex=True, squeeze=False)[:, 0]
-        if is_stacked:
-            for ax, curve in zip(axes, curves, strict=True):
-                _curves(ax, [curve])
-        else:
-            _curves(axes[0], sorted(curves, key=lambda curve: (curve.label != "unchanged", curve.label)))
-            axes[0].legend(loc="upper right", ncols=2, fontsize=7, handlelength=1.6)
-        axes[0].set_title(title)
-        axes[-1].set_xlabel("time t")
-        figure.supylabel("blocks that stick, $n_{stick}$", fontsize=9)
-    return figure
+
+def _n_stick(axes: np.ndarray, title: str, stacked: Sequence[Sequence[Trace]]) -> None:
+    for ax, curves in zip(axes.flat, stacked, strict=True):
+        _curves(ax, curves)
+    if stacked[0][0].figure != 5:
+        axes[0, 0].legend(loc="upper right", ncols=2, fontsize=7, handlelength=1.6)
+    axes[0, 0].set_title(title)
+    axes[-1, 0].set_xlabel("time t")
+    axes[0, 0].figure.supylabel("blocks that stick, $n_{stick}$", fontsize=9)
 
 
 def _curves(ax: Axes, curves: Sequence[Trace]) -> None:
+    """The first is thick and grey if more than two are drawn, as what the others are held against."""
     with_base = len(curves) > 2
+    base, other = (GREY, 1.8, 0.55), (0.7, 1.0)
+    looks = [base] * with_base + [(colour, *other) for colour in (EXACT, SMOOTHED, *CYCLE[2:])]
     for k, curve in enumerate(curves):
-        is_base = with_base and k == 0
+        colour, width, alpha = looks[k]
         # thousands of steps: a picture inside the SVG keeps the report small
         ax.step(
-            np.append(curve.t, curve.t_stop),
-            np.append(curve.n_stick, curve.n_stick[-1]),
-            where="post",
-            rasterized=True,
-            label=curve.label,
-            color=GREY if is_base else (EXACT, SMOOTHED, *CYCLE[2:])[k - with_base],
-            linewidth=1.8 if is_base else 0.7,
-            alpha=0.55 if is_base else 1.0,
-        )
+            np.append(curve.t, curve.t_stop), np.append(curve.n_stick, curve.n_stick[-1]), where="post",
+            rasterized=True, label=curve.label, color=colour, linewidth=width, alpha=alpha,
+        )  # fmt: skip
     ax.set_xlim(0, max(curve.t_stop for curve in curves))
-    ax.set_ylim(0, max(1.0, 1.35 * max(max(curve.n_stick) for curve in curves)))
+    ax.set_ylim(0, max(1.0, 1.35 * max(curve.n_stick.max() for curve in curves)))
     ax.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=4))
 
 
@@ -342,13 +325,8 @@ def escape_times(ax: Axes, runs: Sequence[Row], t_end: float) -> None:
             ends = [[value - (row["low"] or value)], [(row["high"] or t_end) - value]]
             ax.errorbar([112 * row["size"]], [value], yerr=ends, fmt="s", color=SMOOTHED, markersize=4, capsize=2)
     ax.errorbar([], [], fmt="s", color=SMOOTHED, markersize=4, label="median")
-    ax.set(
-        xscale="log",
-        yscale="log",
-        xlabel="noise on every damping, % of ρ",
-        ylabel="time of escape",
-        title="(v) escape under noise on all n² dampings",
-    )
+    title = "(v) escape under noise on all n² dampings"
+    ax.set(xscale="log", yscale="log", xlabel="noise on every damping, % of ρ", ylabel="time of escape", title=title)
     sizes = sorted({100 * row.size for row in noisy})
     ax.set_xticks(sizes, [f"{size:g}" for size in sizes])
     ax.minorticks_off()
@@ -374,13 +352,8 @@ def size_law(axes: Sequence[Axes], rows: Sequence[Cascades]) -> None:
         ends = np.array([1.0, max(map(len, law.counts))])
         for gamma, colour, dash, label in ((law.gamma, "black", "-", "fit"), (PAPER_GAMMA, GREY, "--", "paper")):
             if gamma is not None:
-                ax.plot(
-                    ends,
-                    level * np.exp(-gamma * (ends - 1)),
-                    color=colour,
-                    linestyle=dash,
-                    label=f"{label}, γ = {gamma:.2f}",
-                )
+                law_of_size = level * np.exp(-gamma * (ends - 1))
+                ax.plot(ends, law_of_size, dash, color=colour, label=f"{label}, γ = {gamma:.2f}")
         ax.set(yscale="log", ylim=(0.6, None), xlabel="size Δ$n_{stick}$")
         ax.set_title("(ii) by events" if definition == "events" else f"(ii) by falls, step {law.dt:g}")
         size_axis(ax, int(ends[1]))

@@ -213,10 +213,9 @@ class Blowup:
         unit = float(self.eps.max() / self.friction.min())
         t, n_evaluations = 0.0, 0
         for span in (*2.0 ** np.arange(2, 14), 0.0):
-            end = self._at_rest(load, box(u), slips, 1e-9 if span else 1e-4)
-            if end is not None:
-                lam, slipping, is_stable = end
-                return Settled(lam, slipping, is_stable)
+            settled = self._at_rest(load, box(u), slips, 1e-9 if span else 1e-4)
+            if settled is not None:
+                return settled
             if not span or n_evaluations > MAX_EVALUATIONS:
                 break
             run = solve_ivp(rhs, (t, t + span * unit), u, method="LSODA", rtol=1e-10, atol=1e-12)
@@ -231,8 +230,8 @@ class Blowup:
             f" {t / unit:g} time units, it is at {box(u).tolist()}: a cycle, or a force on the brink of two modes"
         )
 
-    def _at_rest(self, load: Floats, lam: Floats, slip: Slips, tol: float) -> tuple[Floats, Slips, bool] | None:
-        """The equilibrium that the fast system approaches, the blocks that left, and whether it attracts."""
+    def _at_rest(self, load: Floats, lam: Floats, slip: Slips, tol: float) -> Settled | None:
+        """The equilibrium that the fast system approaches."""
         f = f_before = self.law.accelerations(load, self.friction, lam)
         scale = float(np.max(self.friction))
         leaving = (slip == 0) & (1 - np.abs(lam) < 10 * ENTRY_DEPTH) & (f * lam > tol * scale)
@@ -250,14 +249,14 @@ class Blowup:
         if not is_near or not (f * slipping > 0)[leaving].all():
             return None
         if not len(free):
-            return point, slipping, True
+            return Settled(point, slipping, True)
         # the factors vanish on a face: a floor keeps the sign that they give just inside it
         factor = np.maximum(1 - point[free] ** 2, 1e-6) / self.eps[free]
         jacobian = self.law.jacobian(self.friction, point)[np.ix_(free, free)]
         is_stable = bool(np.linalg.eigvals(factor[:, None] * jacobian).real.max() < 0)
         if not is_stable and np.abs(f_before[free]).max() > ON_BORDER * scale:
             return None  # it may be passing the equilibrium
-        return point, slipping, is_stable
+        return Settled(point, slipping, is_stable)
 
     def _slips(self, slip: ArrayLike) -> Slips:
         array = per_block("slip", slip, len(self.friction))
