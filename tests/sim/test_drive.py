@@ -134,7 +134,6 @@ def test_den_hartogs_steady_response(frequency, share):
     turns = first.events.t[-6:]
     run = simulate(system, 1.0, 0.0, 2000.0, t_eval=turns)
     v, u = 1 / (1 - frequency**2), np.tan(np.pi / (2 * frequency)) / frequency
-    print(np.abs(run.samples.z[:, 0]) - np.sqrt(v**2 - (u * share) ** 2))
     np.testing.assert_allclose(np.abs(run.samples.z[:, 0]), np.sqrt(v**2 - (u * share) ** 2), rtol=1e-8)
     np.testing.assert_allclose(np.diff(turns), np.pi / frequency, rtol=1e-8)
     assert first.events.counts()["n_entries"] < 10
