@@ -98,7 +98,7 @@ def test_shares_and_periods(data, settings):
     ]
 
 
-def test_runs_of_one_matrix_are_no_independent_trials(planted, data, settings):
+def test_runs_of_one_matrix_are_no_independent_trials(data, settings):
     """Two matrices of ten runs each, all of one kind: the interval is that of two trials."""
     whole = data(10 * ["rest"] + 10 * ["periodic"], 20 * [None])
     whole = replace(whole, table=whole.members.assign(matrix=[0] * 10 + [1] * 10 + [2]))
@@ -226,7 +226,7 @@ def test_what_varies_of_the_starts(rng):
     assert plane(np.zeros((6, 2)), belt) is None
 
 
-def test_cycles_are_one_wherever_they_drift(rng):
+def test_cycles_are_one_wherever_they_drift():
     def at(shift, period=2.0, events=4):
         return Cycle(events, 2, period, np.array([0.1, 0.5]) + shift, np.array([-0.2, 0.3]))
 

@@ -93,7 +93,7 @@ def test_nothing_of_a_start_goes_on_once_it_is_broken_off(moment, monkeypatch, t
     assert list(tmp_path.iterdir()) == []
 
 
-def test_certificates_of_dasks_configuration_open_an_address(scene, source, finished, content, tmp_path):
+def test_certificates_of_dasks_configuration_open_an_address(scene, finished, content, tmp_path):
     with cluster.local(1) as client:
         names = {"ca-file": "tls_ca_file", "client.cert": "tls_client_cert", "client.key": "tls_client_key"}
         tls = {f"distributed.comm.tls.{key}": getattr(client.security, name) for key, name in names.items()}

@@ -149,7 +149,7 @@ def test_edges_where_k_is_expected_are_told_how_they_are_read(graph, tmp_path):
         scene(tmp_path, text)
 
 
-def test_structure_is_that_of_networkx(rng, tmp_path):
+def test_structure_is_that_of_networkx(tmp_path):
     graphs = [
         networkx.gnp_random_graph(30, 0.08, seed=1),  # in several parts
         networkx.barabasi_albert_graph(40, 2, seed=2),

@@ -381,7 +381,7 @@ def test_an_interrupt_while_a_query_is_handed_over_ends_it(finished, monkeypatch
         query.sql(finished, ENDLESS)
 
 
-def test_cascades_by_hand(finished, scene):
+def test_cascades_by_hand(finished):
     """From the definition: walk along n_stick; what falls between a rise and the next rise is one cascade."""
     found = query.sql(finished, "SELECT * FROM cascades")
     assert len(found) > 20

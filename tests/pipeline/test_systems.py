@@ -158,7 +158,7 @@ def test_places_of_a_sparse_file_are_integers(key, kind, tmp_path):
         load_scene(tmp_path / "mine.toml")
 
 
-def test_a_dataset_of_files_is_the_same_on_workers_grows_and_outlives_them(tmp_path, arrays, rng, content):
+def test_a_dataset_of_files_is_the_same_on_workers_grows_and_outlives_them(tmp_path, arrays, content):
     text = SCENE.replace("K.npz", "K*.npz")
     file = written(tmp_path, arrays, text)
     run_ensemble(load_scene(file), tmp_path / "out", workers=0)

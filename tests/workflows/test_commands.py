@@ -522,7 +522,7 @@ def test_a_report_that_cannot_be_written_leaves_the_old_one_whole(n_synced, tmp_
     assert contents(place)["report.html"] == b"<1>"
 
 
-def test_progress_in_words(dataset, tmp_path):
+def test_progress_in_words(tmp_path):
     stream = io.StringIO()
     with Watch(tmp_path, stream) as watch:
         for n_done, shards in ((4, 1), (10, 2)):
