@@ -273,10 +273,8 @@ def test_a_block_without_friction_starts_at_rest_and_not_on_its_belt():
 # series of many values
 
 
-@pytest.mark.parametrize("at_once", [3, 1024])
-def test_a_measured_series_is_followed_value_by_value(at_once, rng, monkeypatch):
-    """Belts and forces of 150 values each, so many pieces prepared at once, by a method that shares no code."""
-    monkeypatch.setattr(forcing, "_AT_ONCE", at_once)
+def test_a_measured_series_is_followed_value_by_value(rng):
+    """Belts and forces of 150 values each, by a method that shares no code."""
     n, k = 3, 150
     t, other = (np.cumsum(rng.uniform(0.02, 0.2, k)) - 1.0 for _ in range(2))
     belt, push = -0.3 + 0.2 * rng.uniform(-1.0, 1.0, (k, n)), rng.uniform(-1.0, 1.0, (k, n))
