@@ -76,18 +76,6 @@ def test_the_base_undoes_one_change(scene):
     np.testing.assert_array_equal(both.base.ratios(), both.ratios())
 
 
-def test_twins_start_as_far_off_as_said_all_the_same_way(scene):
-    starts = {
-        m.change.twin_size: np.array(m.start())
-        for m in expand(scene)
-        if m.engine == "coulomb" and m.source.matrix == 1
-    }
-    away = {size: starts[size] - np.array([[-0.7], [-0.4]]) for size in (1e-6, 1e-3)}
-    for size, moved in away.items():
-        assert math.sqrt((moved**2).sum(axis=0).mean()) == pytest.approx(size, rel=1e-9)
-    np.testing.assert_allclose(away[1e-3], 1e3 * away[1e-6], rtol=1e-9)
-
-
 def test_the_separation_is_that_of_two_runs(scene, kept):
     found = dict(separations(kept))
     changed = [member for member in expand(scene) if member.base is not None]

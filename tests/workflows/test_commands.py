@@ -16,7 +16,6 @@ from collections import Counter
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from types import SimpleNamespace
 
 import pandas as pd
 import pyarrow as pa
@@ -29,7 +28,7 @@ from stickslip.analysis.page.comparison import compare
 from stickslip.pipeline import Progress, load_scene, query
 from stickslip.pipeline.dataset import opened
 from stickslip.pipeline.dataset.opened import open_dataset
-from stickslip.pipeline.dataset.status import Pace, Tally, status
+from stickslip.pipeline.dataset.status import Pace, Tally
 from stickslip.pipeline.running import estimate
 from stickslip.pipeline.scene import scene as scene_module
 from stickslip.workflows import export
@@ -143,16 +142,6 @@ def test_an_answer_as_parquet(dataset, tmp_path, capsysbinary):
     assert main(["query", str(dataset), QUESTION, "--format", "parquet"]) == 0
     assert pq.read_table(io.BytesIO(capsysbinary.readouterr().out)).num_rows == 6
     assert list(tmp_path.iterdir()) == [file]
-
-
-def test_columns_that_share_a_name_can_be_read_in_every_form(dataset, tmp_path, capsys):
-    for form in ("table", "csv", "parquet"):
-        asked = ["query", str(dataset), "SELECT member_id, member_id FROM members", "--format", form]
-        assert main([*asked, "--out", str(tmp_path / form)]) == 0
-    assert (tmp_path / "table").read_text().split()[:2] == ["member_id", "member_id_1"]
-    for frame in (pd.read_csv(tmp_path / "csv"), pd.read_parquet(tmp_path / "parquet")):
-        assert list(frame) == ["member_id", "member_id_1"]
-        assert list(frame["member_id"]) == list(frame["member_id_1"])
 
 
 def test_a_terminal_is_told_nothing_by_data(dataset, tmp_path, capsys):
@@ -463,19 +452,6 @@ def test_the_status_of_a_run_that_goes_on(dataset, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "6 of 6 done: " in said
     assert "running" not in said
-
-
-def test_the_time_to_go_is_that_of_the_work_left_at_the_pace_since_the_beginning(dataset, tmp_path, monkeypatch):
-    copy = shutil.copytree(dataset, tmp_path / "copy")
-    monkeypatch.setattr("stickslip.pipeline.dataset.status.time", SimpleNamespace(time=lambda: 1010.0))
-    cost = sum(batch.cost for batch, _ in open_dataset(copy).tasks)
-    looked_at = open_dataset(copy)
-    # of four parts one is done, half of it before
-    looked_at.tasks.append((SimpleNamespace(name="one more", cost=3.0 * cost, members=()), None))
-    pace = Pace(1000.0, 2, 0.5 * cost, -1, 1)  # -1: a shard ago
-    (copy / ".lock").write_text(f"process {os.getpid()} on {socket.gethostname()}\nbegan 990.0\n{pace.line}\n")
-    found = status(looked_at.again())
-    assert (found.eta, found.rate) == (pytest.approx(10.0 * 3 / 0.5), pytest.approx(4 / 10.0))
 
 
 def test_the_status_of_a_dataset_that_has_lost_a_shard(dataset, tmp_path, capsys):
