@@ -138,21 +138,15 @@ def test_interrupt_leaves_a_dataset_to_resume(scene, finished, content, tmp_path
     assert content(tmp_path / "out") == content(finished)
 
 
-def test_a_run_without_workers_gives_up(monkeypatch):
-    monkeypatch.setattr("stickslip.pipeline.running.submit.LOST_TIMEOUT", 0.5)
-    with cluster.connect(1, None) as client:
-        client.cluster.scale(0)
-        with pytest.raises(ScheduleError, match="expected workers, got none for"):
-            submit._until(lambda: False, submit._Patience(client, None, "go on"))
-
-
-def test_a_run_at_an_address_says_that_it_waits_for_workers(monkeypatch):
+def test_without_workers_a_run_gives_up_but_at_an_address_says_that_it_waits(monkeypatch):
     said = []
-    monkeypatch.setattr("stickslip.pipeline.running.submit.LOST_TIMEOUT", 0.5)
+    monkeypatch.setattr(submit, "LOST_TIMEOUT", 0.5)
     monkeypatch.setattr(submit.log, "warning", lambda words, *_: said.append(words))
     with cluster.connect(1, None) as client:
         client.cluster.scale(0)
         submit._until(lambda: len(said) > 1, submit._Patience(client, client, "go on"))
+        with pytest.raises(ScheduleError, match="expected workers, got none for"):
+            submit._until(lambda: False, submit._Patience(client, None, "go on"))
     assert all(words.startswith("waiting for workers: ") for words in said)
 
 
