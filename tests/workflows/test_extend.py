@@ -62,7 +62,7 @@ def test_what_cannot_be_added_is_refused_in_a_line(words, said, dataset, tmp_pat
     assert not (tmp_path / "out").exists()
 
 
-def test_a_scene_with_more_members_and_records(dataset, small_scene, tmp_path, capsys):
+def test_a_scene_with_more_members_and_records(here, dataset, small_scene, tmp_path, capsys):
     more = tmp_path / "more.toml"
     more.write_text(small_scene.read_text().replace("events = true", "events = true\nwaiting = true"))
     words = ["--scene", str(more), "--out", str(tmp_path / "out"), "--workers", "1", "--no-report"]

@@ -94,6 +94,7 @@ def test_own_answers_it_and_the_page_names_its_files(place, capsys):
     assert not (place / "ran").exists()
 
 
+@pytest.mark.usefixtures("alone", "here")
 def test_who_adds_a_record_is_told_how_the_page_answers_its_questions(place, tmp_path, capsys):
     out = str(tmp_path / "more")
     asked = ["--record", "stick_share", "--out", out, "--workers", "1"]
