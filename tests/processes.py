@@ -67,7 +67,8 @@ def listening(pids: Iterable[int]) -> set[tuple[str, int]]:
 
 
 def computed_here(patch: pytest.MonkeyPatch) -> None:
-    """Have commands compute members in this process: the workers that they ask for take seconds to start."""
+    """Have commands compute members, and answer questions, in this process: others take seconds to start."""
+    patch.setattr("stickslip.workflows.asking.MOST_PROCESSES", 1)
     run = pipeline.run_ensemble
     for place in ("stickslip.pipeline", "stickslip.workflows.dataset"):
         patch.setattr(

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+#: Blocks of a chain at random places on their belts.
+ON_BELTS = 'z = {uniform = [-0.2, 0.2]}\nw = "belt"'
 COULOMB, SIGMOID = 'name = "coulomb"', 'name = "sigmoid"'
 #: How the text of a scene of short runs ends.
 ENDING = """\
@@ -22,15 +24,17 @@ def ensemble(
     t_end: float,
     matrices: int,
     *engines: str,
-    seed: int = 0,
+    seed: object = 0,
     title: str = "small",
+    system: str = 'coupling = "antisymmetric"',
+    start: str = "z = -0.7\nw = -0.4",
     rest: str = "",
     analysis: str = "t_burn = 1.0\ndt = 0.5",
 ) -> str:
-    """Random systems from the paper's start; `engines` are the keys of each table, `rest` more tables."""
+    """Random systems from the paper's start, or others; `engines` are the keys of each table, `rest` more tables."""
     tables = {
-        "[system]": f'coupling = "antisymmetric"\nn = {n}',
-        "[start]": "z = -0.7\nw = -0.4",
+        "[system]": f"{system}\nn = {n}",
+        "[start]": start,
         "[run]": f"t_end = {t_end}\nmatrices = {matrices}\nseed = {seed}",
     }
     parts = [f'title = "{title}"', *(f"{head}\n{keys}" for head, keys in tables.items())]

@@ -1,5 +1,6 @@
 """Planted ensembles: series whose cascade law is known before anything is computed."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from stickslip.analysis import AnalysisSettings
 from stickslip.analysis.page import parts
+from tests.chance import SURE
 
 T_END = 1000.0
 
@@ -58,6 +60,12 @@ def ensemble(gammas, n_matrices, n_steps=1600, seed=0):
 @pytest.fixture
 def settings():
     return AnalysisSettings(t_burn=100.0, dt=(0.5, 2.0), resamples=20, confidence=0.95, seed=0)
+
+
+@pytest.fixture
+def strict(settings):
+    """At 0.95 one planted ensemble in twenty has what nobody planted, or lacks what is there."""
+    return replace(settings, confidence=SURE)
 
 
 @pytest.fixture

@@ -1,4 +1,9 @@
-"""Reports as tests look at them."""
+"""Answers and reports as tests look at them."""
+
+
+def of_kind(answer, kind):
+    """Its findings of one kind."""
+    return [finding for finding in answer.findings if isinstance(finding, kind)]
 
 
 def contents(report):

@@ -20,6 +20,7 @@ from stickslip.analysis.questions.runs.settled import PREDICATES, Outcome, stret
 from stickslip.sim import System, simulate
 from stickslip.sim.attractors.result import Kind
 from tests.analysis.designs import Data
+from tests.analysis.reports import of_kind
 
 SERIES = (np.array([0.0, 150.0]), np.array([3, 2]))
 KINDS = 3 * ["sliding"] + 5 * ["periodic"] + ["irregular", "undecided"]
@@ -73,7 +74,7 @@ def wilson(has, of):
 
 
 def shares(answered):
-    return {share.key: share for share in answered.findings if isinstance(share, Share)}
+    return {share.key: share for share in of_kind(answered, Share)}
 
 
 def said(answered):
@@ -97,7 +98,7 @@ def test_shares_and_periods(data, settings):
     ]
 
 
-def test_runs_of_one_matrix_are_no_independent_trials(planted, data, settings):
+def test_runs_of_one_matrix_are_no_independent_trials(data, settings):
     """Two matrices of ten runs each, all of one kind: the interval is that of two trials."""
     whole = data(10 * ["rest"] + 10 * ["periodic"], 20 * [None])
     whole = replace(whole, table=whole.members.assign(matrix=[0] * 10 + [1] * 10 + [2]))
@@ -154,11 +155,7 @@ def test_cycles_of_one_system_are_told_apart_with_their_shares(basin, settings):
     fast, slow = (starts[:, 0] >= 1).sum(), (starts[:, 0] <= -1).sum()
     assert (rows.loc[3.0, "n_runs"], rows.loc[7.0, "n_runs"]) == (fast, slow)
     assert set(rows["cycle"].dropna()) == {1, 2}
-    (share,) = [
-        share
-        for share in answered.findings
-        if isinstance(share, Share) and share.predicate == "end on the cycle of period 7"
-    ]
+    (share,) = (share for share in of_kind(answered, Share) if share.predicate == "end on the cycle of period 7")
     np.testing.assert_allclose([share.estimate.low, share.estimate.high], wilson(slow, 400), rtol=1e-9)
     assert (share.things, share.basis.n, share.basis.unit) == ("starts", 400, "start")
 
@@ -166,11 +163,10 @@ def test_cycles_of_one_system_are_told_apart_with_their_shares(basin, settings):
 def test_a_period_that_all_starts_share_has_no_interval(planted_runs, settings):
     starts = [started(0.1 * k, 0.0, start_draw=k, drawn="z = uniform(0, 1)") for k in range(8)]
     answered = fates.answer(Study(planted_runs([start | cycle(3.5081, 0.5) for start in starts]), settings))
-    (period,) = [finding for finding in answered.findings if isinstance(finding, Alike)]
+    (period,) = of_kind(answered, Alike)
     assert (period.value, period.among) == (3.5081, "from all 8 starts")
     other = [start | cycle(3.5081 + 0.1 * (k == 0), 0.5) for k, start in enumerate(starts)]
-    assert not [finding for finding in fates.answer(Study(planted_runs(other), settings)).findings
-                if isinstance(finding, Alike)]  # fmt: skip
+    assert not of_kind(fates.answer(Study(planted_runs(other), settings)), Alike)
 
 
 def test_a_share_is_set_beside_the_published_one(basin, settings):
@@ -209,7 +205,7 @@ def test_starts_of_a_grid_and_of_a_line_are_one_setting(planted_runs, settings):
         rows = [started(a, b) | (SLIDES if a + b > 0.5 else cycle(3.0, 0.5)) for a in z for b in ws]
         answered = fates.answer(Study(planted_runs(rows), settings))
         assert set(answered.tables["fates"]["of"]) == {5 * len(ws)}
-        assert not [finding for finding in answered.findings if isinstance(finding, Regime)]
+        assert not of_kind(answered, Regime)
         (ax,) = answered.figures["basin"].recipe().axes
         (sliding,) = [line for line in ax.lines if line.get_color() == "#0072B2"]
         assert len(sliding.get_xdata()) == (np.add.outer(ws, z) > 0.5).sum()
@@ -230,7 +226,7 @@ def test_what_varies_of_the_starts(rng):
     assert plane(np.zeros((6, 2)), belt) is None
 
 
-def test_cycles_are_one_wherever_they_drift(rng):
+def test_cycles_are_one_wherever_they_drift():
     def at(shift, period=2.0, events=4):
         return Cycle(events, 2, period, np.array([0.1, 0.5]) + shift, np.array([-0.2, 0.3]))
 
@@ -270,7 +266,7 @@ def test_where_along_a_key_attractors_change(swept, settings):
         "At belt_speed = 9 to 12, all 20 starts (at least 57% at each) end in steady sliding.",
         "At belt_speed = 1 to 4, all 20 starts (at least 57% at each) end on a limit cycle of 1 exit per period.",
     ]
-    regimes = [finding for finding in answered.findings if isinstance(finding, Regime)]
+    regimes = of_kind(answered, Regime)
     assert (
         sentence(regimes[3])
         == "At belt_speed = 5 to 7, all 15 starts (at least 57% at each) end on a limit cycle of 2 exits per period."
@@ -325,7 +321,7 @@ def test_each_value_of_a_second_key_has_its_regimes_and_the_ends_lead(over_two, 
         "At belt_speed = 2 to 5, static = 1.2, all 20 starts (at least 57% at each) end in steady sliding.",
         "At belt_speed = 1 to 3, static = 1.6, all 15 starts (at least 57% at each) end on a limit cycle.",
     ]
-    regimes = [finding for finding in answered.findings if isinstance(finding, Regime)]
+    regimes = of_kind(answered, Regime)
     assert [dict(regime.where.parts)["static"] for regime in regimes] == ["1.2", "1.2", "1.6", "1.6", "1.4", "1.4"]
 
 
@@ -427,19 +423,19 @@ def test_stick_slip_that_is_followed_to_a_value_attracts_there_though_no_start_f
         fate = cycle(3.0, 0.1, 1) | {"exits_z": [0.5]} if v in (2, 4) else SLIDES | {"section_z": [0.0]}
         rows += [started(0.1 * s, 0.0, start_draw=s, drawn="z", belt_speed=float(v)) | fate | ends for s in range(4)]
     answered = fates.answer(Study(planted_runs(rows), settings))
-    each = {finding.attractors: finding for finding in answered.findings if isinstance(finding, Attracting)}
+    each = {finding.attractors: finding for finding in of_kind(answered, Attracting)}
     stretch = each["stick-slip",]
     assert (stretch.low, stretch.high, stretch.high_by) == ("2", "4.5", Bound.RUNS)
     assert [level.estimate.value for level in stretch.ends] == [4.5]
     cut = [row | ({"motion_ends_above": None} if row["belt_speed"] == 4.0 else {}) for row in rows]
     answered = fates.answer(Study(planted_runs([*cut, *(row | {"belt_speed": 6.0} for row in rows[-4:])]), settings))
-    each = {finding.attractors: finding for finding in answered.findings if isinstance(finding, Attracting)}
+    each = {finding.attractors: finding for finding in of_kind(answered, Attracting)}
     assert (each["stick-slip",].high, each["stick-slip",].high_by) == ("5", Bound.FOLLOWED)
 
 
 def test_what_attracts_is_said_of_one_system_alone(planted_runs, settings):
     answered = fates.answer(Study(along_belts(planted_runs, ENDS, matrices=4), settings))
-    assert not [finding for finding in answered.findings if isinstance(finding, Attracting)]
+    assert not of_kind(answered, Attracting)
     assert answered.tables["stability"]["n_systems"].tolist() == [4] * 6
 
 

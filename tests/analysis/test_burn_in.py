@@ -61,27 +61,27 @@ def test_steady_series_are_called_too_short_at_the_nominal_rate(planted, setting
     assert agrees(sum(row.p_value < 0.05 for row in found), 200, 0.05)
 
 
-def test_a_transient_is_found_and_its_size(planted, settings, rng):
+def test_a_transient_is_found_and_its_size(planted, strict, rng):
     """100 exp(-t / 80) from t = 100 on: 100 * 80 / 90 (exp(-100 / 80) - exp(-190 / 80)) in the first tenth."""
-    (row,) = of_groups(ensemble(planted, rng, 100.0), replace(settings, confidence=SURE))
+    (row,) = of_groups(ensemble(planted, rng, 100.0), strict)
     planted_early = 100.0 * DECAY / 90.0 * (np.exp(-100 / DECAY) - np.exp(-190 / DECAY))
     assert row.is_short
     assert row.early.low < planted_early < row.early.high
-    late = replace(settings, t_burn=600.0, confidence=SURE)
+    late = replace(strict, t_burn=600.0)
     assert not of_groups(ensemble(planted, rng, 100.0), late)[0].is_short
 
 
-def test_several_groups_are_tested_together(planted, settings, rng):
+def test_several_groups_are_tested_together(planted, strict, rng):
     """Holm's rule: of nine steady groups and one with a transient, that alone."""
     data = ensembles(planted, rng, [100.0 * (k == 3) for k in range(10)])
-    found = of_groups(data, replace(settings, confidence=SURE))
+    found = of_groups(data, strict)
     assert [row.is_short for row in found] == [k == 3 for k in range(10)]
     assert all(row.p_adjusted >= row.p_value for row in found)
 
 
-def test_estimates_for_other_values_of_t_burn(planted, settings, rng):
-    data, sure = ensemble(planted, rng, 100.0), replace(settings, confidence=SURE)
-    study = Study(data, sure)
+def test_estimates_for_other_values_of_t_burn(planted, strict, rng):
+    data = ensemble(planted, rng, 100.0)
+    study = Study(data, strict)
     rows = {row.t_burn: row for row in estimates(study, study.groups[0])}
     assert [*rows] == [0.0, 50.0, 100.0, 212.5, 325.0, 550.0]
     for t_burn, row in rows.items():
@@ -96,17 +96,17 @@ def test_estimates_for_other_values_of_t_burn(planted, settings, rng):
     assert rows[T_BURN].p_value < 1 - SURE < rows[550.0].p_value
 
 
-def test_what_is_averaged_is_tested(planted, settings, rng):
+def test_what_is_averaged_is_tested(planted, strict, rng):
     """Four in five runs stop at t = 200, quiet: no mean of n_stick has them, but one of a number of each run does."""
-    data, sure = ensemble(planted, rng, 0.0), replace(settings, confidence=SURE)
+    data = ensemble(planted, rng, 0.0)
     ended = {}
     for k, (name, (t, n_stick)) in enumerate(data.series.items()):
         ended[name] = (t[:201], np.append(n_stick[:200], 0)) if k % 5 else (t, n_stick)
     alone = Data(data.members, ended)
-    (row,) = of_groups(alone, sure)
+    (row,) = of_groups(alone, strict)
     assert (row.n_runs, row.n_members, row.n_systems, row.is_short) == (4, 20, 4, False)
     numbers = {"heat": Recorded("heat", dict.fromkeys(ended, 1.0))}
-    study = Study(Data(data.members, ended, recorded=numbers), sure)
+    study = Study(Data(data.members, ended, recorded=numbers), strict)
     (row,) = geweke(study, study.groups)
     assert (row.n_runs, row.n_members, row.n_systems, row.is_short) == (20, 20, 20, True)
     mean = [row for row in estimates(study, study.groups[0]) if row.is_chosen]

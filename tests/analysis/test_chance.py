@@ -86,7 +86,7 @@ def test_rotation_of_many_slow_blocks_is_the_toss_of_a_coin(rng):
     assert found.low - 0.005 < LN2 < found.high + 0.005
 
 
-def test_moments_are_those_of_the_sizes_of_a_surrogate(rng):
+def test_moments_are_those_of_the_sizes_of_a_surrogate():
     steps = alternating(30, 41, 100.0, 7)
     t, is_exit = times_of(rotated(steps, np.random.default_rng(8)), 100.0)
     k = sizes(Window(0.0, 100.0, 0, t, np.where(is_exit, -1, 1)), EVENTS)

@@ -20,7 +20,7 @@ from stickslip.analysis.questions.runs.changes import answer as changes_of
 from stickslip.analysis.questions.slips import episodes
 from stickslip.analysis.stats import enough
 from tests.analysis.designs import Data
-from tests.chance import SURE
+from tests.analysis.reports import of_kind
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -28,12 +28,6 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 @pytest.fixture
 def settings(settings):
     return replace(settings, t_burn=200.0)
-
-
-@pytest.fixture
-def strict(settings):
-    """At 0.95 the true law is rejected of one planted ensemble in twenty."""
-    return replace(settings, confidence=SURE)
 
 
 def power_law(b, cut_off=None):
@@ -108,10 +102,6 @@ def rows_of(answer):
     """Statistics by method."""
     table = answer.tables["episodes"].set_index("method")
     return {method: row.to_dict() for method, row in table.iterrows()}
-
-
-def of_kind(answer, kind):
-    return [finding for finding in answer.findings if isinstance(finding, kind)]
 
 
 def codes(answer):
@@ -451,7 +441,7 @@ def test_a_method_that_keeps_the_episodes_may_lose_slip_onsets(planted_episodes,
     assert sentence(distance).endswith(", compared with exact.")
 
 
-def test_a_method_that_keeps_rate_and_magnitudes_may_stretch_episodes(planted_episodes, planted, settings, rng):
+def test_a_method_that_keeps_rate_and_magnitudes_may_stretch_episodes(planted_episodes, planted, strict, rng):
     """It differs, and that is said; of the others the largest difference is, not the one that is known least."""
     steps = {f"h{step}": planted.sigmoid | {"eps": step} for step in (1e-5, 1e-4, 1e-3)}
     data = planted_episodes(EXACT | {name: (method, 1.0) for name, method in steps.items()}, rate=3.0)
@@ -462,7 +452,7 @@ def test_a_method_that_keeps_rate_and_magnitudes_may_stretch_episodes(planted_ep
         end=of_exact["start"] + rng.uniform(1.0, 1.1, len(of_exact)) * (of_exact["end"] - of_exact["start"]),
     )
     table = pd.concat([table[~table["member_id"].str.endswith("h0.001")], longer], ignore_index=True)
-    answer = asked(replace(data, episodes=table), replace(settings, confidence=SURE))
+    answer = asked(replace(data, episodes=table), strict)
     different, undecided = of_kind(answer, Outcomes)
     assert different.different == ("sigmoid with eps = 1e-3",)
     assert re.search(r"gives a mean duration of episodes [45]\.\d+% .* higher than exact", sentence(different))

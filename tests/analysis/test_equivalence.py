@@ -126,7 +126,7 @@ def test_a_ratio_of_bounded_means_inverts_the_interval_of_a_difference(rng):
         bounded_ratio(0.0 * rows[0] + [0.0, 1.0], rows[1], True, 1.0)
 
 
-def test_paired_means_differ_by_their_pairs(rng):
+def test_paired_means_differ_by_their_pairs():
     """Eight systems lose 0.1 to 0.4 of their blocks, from all of them: paired, that is far from none."""
     lost = np.linspace(0.1, 0.4, 8)
     first, second = (np.column_stack([3.0 * some, np.ones(8)]) for some in (np.ones(8), 1.0 - lost))

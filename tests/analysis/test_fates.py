@@ -28,6 +28,7 @@ from stickslip.analysis.stats.shares import share_over_matrices, wilson
 from stickslip.analysis.stats.survival import kaplan_meier, median
 from tests.analysis import studies
 from tests.analysis.designs import Data
+from tests.analysis.reports import of_kind
 
 EPS = np.finfo(float).eps
 SETTINGS = AnalysisSettings(t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0)
@@ -226,11 +227,7 @@ def asked(data):
 
 
 def shares(answered):
-    return {(finding.key, str(finding.where)): finding for finding in answered.findings if isinstance(finding, Share)}
-
-
-def of_kind(answered, kind):
-    return [finding for finding in answered.findings if isinstance(finding, kind)]
+    return {(share.key, str(share.where)): share for share in of_kind(answered, Share)}
 
 
 def codes(answered):

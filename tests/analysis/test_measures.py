@@ -19,7 +19,6 @@ from stickslip.analysis.stats.estimates import UnitSums
 from stickslip.analysis.stats.shares import wilson
 from tests.analysis.designs import Data
 from tests.analysis.studies import renewals
-from tests.chance import SURE
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 SPEEDS = [-0.3, -0.2, -0.1]
@@ -271,12 +270,11 @@ def planted_episodes(rng, members, rates, b):
     return pd.concat(table, ignore_index=True)
 
 
-def test_rate_size_and_b_of_episodes_lead_and_b_only_where_it_holds(recorded, settings, rng):
-    """At 0.95 the true law is rejected of one planted setting in twenty."""
-    settings, rates = replace(settings, confidence=SURE), {-0.3: 1.5, -0.2: 1.0, -0.1: 0.5}
+def test_rate_size_and_b_of_episodes_lead_and_b_only_where_it_holds(recorded, strict, rng):
+    rates = {-0.3: 1.5, -0.2: 1.0, -0.1: 0.5}
     data = recorded({})
     data = replace(data, episodes=planted_episodes(rng, data.members, rates, {-0.3: 0.8, -0.2: 0.8}))
-    answer = changes_of(Study(data, settings))
+    answer = changes_of(Study(data, strict))
     table = measured(answer).pivot_table(index="belt_speed", columns="measure", values="estimate")
     assert table["rate of episodes"].to_dict() == pytest.approx(rates, rel=0.15)
     assert list(table["mean size of episodes"]) == pytest.approx([3.0] * 3, rel=0.1)
@@ -291,7 +289,7 @@ def test_rate_size_and_b_of_episodes_lead_and_b_only_where_it_holds(recorded, se
     assert lacks.format(1) + "no power law is shown" in alerts(answer)
     few = replace(data, episodes=data.episodes[data.episodes.index % 100 == 0])
     assert lacks.format(3) + "no power law is shown: too few systems or events" in alerts(
-        changes_of(Study(few, settings))
+        changes_of(Study(few, strict))
     )
 
 
@@ -360,12 +358,11 @@ def holds(row, name, answer):
     return value - 1.2 * (value - low) < answer < value + 1.2 * (high - value)
 
 
-def test_the_first_time_is_right_however_short_the_runs_are(recorded, settings, rng):
+def test_the_first_time_is_right_however_short_the_runs_are(recorded, strict, rng):
     """The same draws to t = 10, 50 and 300: Weibull's law with the exponent 1.5, of means 7.65 and 19.2.
 
     To 10 most runs of the second have none: the mean of those that have is far too small, the mean up to 10 is not.
     """
-    settings = replace(settings, confidence=SURE)
     scales = np.array([7.65, 19.2]) / special.gamma(1 + 1 / 1.5)
     medians, n = scales * np.log(2) ** (1 / 1.5), 200
     drawn = scales * rng.weibull(1.5, (n, 2))
@@ -376,7 +373,7 @@ def test_the_first_time_is_right_however_short_the_runs_are(recorded, settings, 
         first = data.recorded["first"]._replace(since=0.0, called="time of the first exit", says_it=True)
         study = Study(
             Data(data.members.assign(t_end=t_end, t_stop=t_end), data.series, recorded={"first": first}),
-            replace(settings, t_burn=5.0),
+            replace(strict, t_burn=5.0),
         )
         table = measured(changes_of(study)).set_index(["measure", "belt_speed"])
         changes = rows_of(changes_of(study), "restricted mean first").loc["-0.1"]
@@ -434,12 +431,12 @@ def test_a_run_that_ended_early_was_followed_until_then(recorded, settings):
         Study(recorded({"work": lambda *_: 1.0}), settings).median(group, "work")
 
 
-def test_waiting_times_are_right_however_short_the_windows_are(planted, settings, rng):
+def test_waiting_times_are_right_however_short_the_windows_are(planted, strict, rng):
     """The same draws, 100 units and then 10, 50 and 300: eight blocks whose exits are 19.2 apart on average.
 
     The mean of the times that lie in a window of 10 whole is below 10.
     """
-    settings, axes = replace(settings, confidence=SURE), (-0.2, -0.1)
+    axes = (-0.2, -0.1)
     exits = {(k, v): run for v in axes for k, run in enumerate(renewals(rng, 100, 8, 19.2, 400.0))}
     for window in (10.0, 50.0, 300.0):
         rows, series = [], {}
@@ -456,7 +453,7 @@ def test_waiting_times_are_right_however_short_the_windows_are(planted, settings
             "waiting_mean": Recorded(WORDS, short, of_gaps="mean"),
             "waiting_cv": Recorded(WORDS, dict.fromkeys(series, 0.3), of_gaps="scatter"),
         }
-        table = measured(changes_of(Study(Data(pd.DataFrame(rows), series, recorded=own), settings)))
+        table = measured(changes_of(Study(Data(pd.DataFrame(rows), series, recorded=own), strict)))
         means = table[table["measure"] == "mean waiting_mean"]
         assert all(holds(row, "estimate", 19.2) for _, row in means.iterrows())
         assert means["estimate_high"].max() < 32.0, "nor are they wide"

@@ -15,18 +15,11 @@ from stickslip.analysis.questions.runs.changes import answer
 from stickslip.analysis.stats import components
 from stickslip.analysis.stats.estimates import Estimate
 from tests.analysis.designs import Data
-from tests.chance import SURE
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 T_END = 1000.0
 MATRICES = 40  # so many are told apart at the confidence of `strict`
-
-
-@pytest.fixture
-def strict(settings):
-    """At 0.95 one planted ensemble in twenty has an effect that nobody planted."""
-    return replace(settings, confidence=SURE)
 
 
 def paths(rng, levels):

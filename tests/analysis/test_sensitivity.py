@@ -15,7 +15,6 @@ from stickslip.analysis.pairs import settings as sorted_settings
 from stickslip.analysis.questions.runs.sensitivity import answer
 from stickslip.analysis.series import parting
 from tests.analysis.designs import Data
-from tests.chance import SURE
 
 T_END = 1000.0
 
@@ -96,8 +95,8 @@ def ensemble(rng, planted, rate, g=12, size=1e-6, t_part=400.0, **settings):
 
 
 @pytest.mark.parametrize(("rate", "verdict"), [(0.01, "grow"), (-0.0128, "shrink")])
-def test_rates_have_their_sign(rng, planted, settings, rate, verdict):
-    found = answer(Study(ensemble(rng, planted, rate), replace(settings, confidence=SURE)))
+def test_rates_have_their_sign(rng, planted, strict, rate, verdict):
+    found = answer(Study(ensemble(rng, planted, rate), strict))
     lead, parted = found.findings
     assert lead.quantity.name == f"time in which initial differences of 1e-6 {verdict} e-fold"
     assert sentence(lead).startswith(f"At n = 200, exact, initial differences of 1e-6 {verdict} e-fold every ")

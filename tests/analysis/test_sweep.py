@@ -200,7 +200,7 @@ def test_as_many_units_as_are_needed_are_enough(swept, settings):
     assert not pd.isna(found.p_different)
 
 
-def test_keys_that_go_together_are_one_axis_and_distributions_are_values(planted, swept, settings):
+def test_keys_that_go_together_are_one_axis_and_distributions_are_values(swept, settings):
     pairs = [(0.1, 1.0), (0.2, 2.0), (0.3, 3.0)]
     data = swept({"kappa": [0.1, 0.2, 0.3]}, lambda at, matrix: 0)
     together = data.members.assign(rho=data.members["kappa"].map(dict(pairs)))

@@ -87,7 +87,7 @@ def test_what_half_of_the_runs_do_not_have_is_not_reached():
             none.restricted(limit)
 
 
-def test_a_median_that_no_run_has_is_later_than_all_were_followed(rng):
+def test_a_median_that_no_run_has_is_later_than_all_were_followed():
     """Six systems of three runs, of which none has it by t = 10, or four have: half of them have it later."""
     units = np.repeat(np.arange(6), 3)
     none = Times.of_runs(units, np.full(18, 10.0), np.zeros(18, dtype=bool))

@@ -8,35 +8,19 @@ from stickslip import Dataset
 from stickslip.pipeline import SceneError, expand, parse_scene, query, run_ensemble, verify
 from stickslip.sim.attractors import attractor
 from stickslip.workflows.gallery.field.one_block import period
+from tests.scenes import COULOMB, ON_BELTS, SIGMOID, ensemble
 
-SOURCE = """\
-[system]
-coupling = "chain"
-n = [1, 3]
-kappa = 1.0
-leaf = 1.0
-damping = [0.0, 0.5]
-static = 1.3
-belt_speed = -0.2
-[start]
-z = {uniform = [-0.2, 0.2]}
-w = "belt"
-draws = 2
-[run]
-t_end = 300.0
-matrices = 1
-seed = SEED
-[[engine]]
-name = "coulomb"
-[[engine]]
-name = "sigmoid"
-[record]
-attractor = true
-t_burn = 100.0
-[analysis]
-t_burn = 1.0
-dt = 0.5
-"""
+SOURCE = ensemble(
+    [1, 3],
+    300.0,
+    1,
+    COULOMB,
+    SIGMOID,
+    seed="SEED",
+    system='coupling = "chain"\nkappa = 1.0\nleaf = 1.0\ndamping = [0.0, 0.5]\nstatic = 1.3\nbelt_speed = -0.2',
+    start=f"{ON_BELTS}\ndraws = 2",
+    rest="[record]\nattractor = true\nt_burn = 100.0",
+)
 
 LISTS = ["section_z", "section_w", "exits_z"]
 

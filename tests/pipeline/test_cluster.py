@@ -29,18 +29,7 @@ def processes_of(client):
     return [os.getpid(), *client.run(os.getpid).values()]
 
 
-@pytest.mark.parametrize("dashboard", [False, True])
-def test_nothing_listens_but_on_the_loopback_and_no_web_server_unless_asked_for(dashboard):
-    before = listening([os.getpid()])
-    with cluster.local(2, dashboard) as client:
-        opened = listening(processes_of(client)) - before
-        assert {host for host, _ in opened} == {"127.0.0.1"}
-        assert len(opened) == 1 + 2 * 2 + dashboard  # the scheduler; workers, and who watches them
-        assert bool(client.dashboard_link) == dashboard
-    assert listening([os.getpid()]) == before
-
-
-def test_who_has_not_the_certificate_of_the_run_is_not_answered():
+def test_nothing_listens_but_on_the_loopback_and_who_has_not_the_certificate_is_not_answered():
     async def ask(address, security):
         connection = security.get_connection_args("client")
         async with rpc(address, timeout=500, connection_args=connection) as server:
@@ -50,12 +39,25 @@ def test_who_has_not_the_certificate_of_the_run_is_not_answered():
     with cluster.local(1) as client:
         opened = sorted(listening(processes_of(client)) - before)
         own = client.security
-        assert len(opened) == 3
+        assert len(opened) == 3  # the scheduler; a worker, and who watches it
+        assert not client.dashboard_link
         for host, port in opened:
+            assert host == "127.0.0.1"
             assert "id" in LoopRunner().run_sync(ask, f"tls://{host}:{port}", own)
             for scheme, security in (("tcp", Security()), ("tls", Security.temporary())):
                 with pytest.raises(OSError):  # closed at once
                     LoopRunner().run_sync(ask, f"{scheme}://{host}:{port}", security)
+    assert listening([os.getpid()]) == before
+
+
+def test_a_web_server_that_is_asked_for_is_on_the_loopback_too():
+    before = listening([os.getpid()])
+    with cluster.local(1, dashboard=True) as client:
+        opened = listening(processes_of(client)) - before
+        assert {host for host, _ in opened} == {"127.0.0.1"}
+        assert len(opened) == 4
+        assert client.dashboard_link
+    assert listening([os.getpid()]) == before
 
 
 def test_dask_looks_for_modules_where_nobody_else_writes(tmp_path):
@@ -93,7 +95,7 @@ def test_nothing_of_a_start_goes_on_once_it_is_broken_off(moment, monkeypatch, t
     assert list(tmp_path.iterdir()) == []
 
 
-def test_certificates_of_dasks_configuration_open_an_address(scene, source, finished, content, tmp_path):
+def test_certificates_of_dasks_configuration_open_an_address(scene, finished, content, tmp_path):
     with cluster.local(1) as client:
         names = {"ca-file": "tls_ca_file", "client.cert": "tls_client_cert", "client.key": "tls_client_key"}
         tls = {f"distributed.comm.tls.{key}": getattr(client.security, name) for key, name in names.items()}

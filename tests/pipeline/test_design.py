@@ -82,17 +82,6 @@ def test_same_matrix_under_every_engine_and_stiffness(scene):
     assert len(set(drawn)) == len(drawn)
 
 
-def test_perturbations_of_one_draw_go_the_same_way(scene):
-    members = by_id(scene)
-    plain, small, large = (
-        members[f"n5-m001-{change}coulomb-1e-10"].system() for change in ("", "p0.01-d0-", "p0.05-d0-")
-    )
-    assert not np.array_equal(plain.stiffness, small.stiffness)
-    for name in ("stiffness", "damping"):
-        base, little, much = (np.asarray(getattr(system, name)) for system in (plain, small, large))
-        assert much - base == pytest.approx(5 * (little - base), rel=1e-9, abs=1e-14)
-
-
 def test_stiffness_ratios_are_paired_and_never_zero(scene):
     draws: dict[tuple, list] = {}
     for member in expand(scene):
@@ -104,14 +93,6 @@ def test_stiffness_ratios_are_paired_and_never_zero(scene):
         assert (same[0] > 0).all()
         assert (same[0] <= 1).all()
     assert len({same[0].tobytes() for same in draws.values()}) == 12
-
-
-def test_the_seed_of_the_scene_moves_every_draw(scene, source):
-    a, b = expand(scene), expand(change(source, seed=("seed = 7", "seed = 8")))
-    for one, other in zip(a, b, strict=True):
-        assert one.member_id == other.member_id
-        assert not np.array_equal(one.system().stiffness, other.system().stiffness)
-        assert one.engine == "coulomb" or not np.array_equal(one.ratios(), other.ratios())
 
 
 def test_no_two_draws_share_their_numbers(scene):

@@ -25,7 +25,7 @@ from tests.pipeline.conftest import SOURCE
 from tests.processes import is_running, python, until
 
 
-def test_workers_give_the_bytes_of_this_process(scene, source, finished, content, tmp_path):
+def test_workers_give_the_bytes_of_this_process(scene, finished, content, tmp_path):
     environment = dict(os.environ)
     seen: list[Progress] = []
     result = run_ensemble(scene, tmp_path / "out", workers=2, on_progress=seen.append)
@@ -45,7 +45,7 @@ def test_workers_give_the_bytes_of_this_process(scene, source, finished, content
     assert seen[-1].eta == pytest.approx(0, abs=1e-9)
 
 
-def test_a_running_cluster_can_be_used(scene, source, finished, content, tmp_path):
+def test_a_running_cluster_can_be_used(scene, finished, content, tmp_path):
     with cluster.local(1) as client:
         run_ensemble(scene, tmp_path / "out", scheduler=client)
     assert content(tmp_path / "out") == content(finished)
@@ -83,7 +83,7 @@ def test_libraries_have_one_thread_in_a_worker(monkeypatch):
     assert set(blas_threads) <= {1}  # empty with another BLAS
 
 
-def test_workers_are_counted_from_none(scene, source, tmp_path):
+def test_workers_are_counted_from_none(scene, tmp_path):
     with pytest.raises(ValueError, match="workers: expected a count >= 0, got -1"):
         run_ensemble(scene, tmp_path / "out", workers=-1)
     assert not (tmp_path / "out").exists()
@@ -106,7 +106,7 @@ def test_a_script_that_every_worker_runs_is_told_so(source, tmp_path):
 
 
 @pytest.mark.long
-def test_a_batch_whose_workers_died_is_run_again(scene, source, finished, content, tmp_path, monkeypatch):
+def test_a_batch_whose_workers_died_is_run_again(scene, finished, content, tmp_path, monkeypatch):
     compute = driver.compute_there
 
     def dies(order):
@@ -121,7 +121,7 @@ def test_a_batch_whose_workers_died_is_run_again(scene, source, finished, conten
     assert content(tmp_path / "out") == content(finished)
 
 
-def test_interrupt_leaves_a_dataset_to_resume(scene, source, finished, content, tmp_path):
+def test_interrupt_leaves_a_dataset_to_resume(scene, finished, content, tmp_path):
     def interrupt(progress):
         if progress.n_done:
             signal.raise_signal(signal.SIGINT)
@@ -138,21 +138,15 @@ def test_interrupt_leaves_a_dataset_to_resume(scene, source, finished, content, 
     assert content(tmp_path / "out") == content(finished)
 
 
-def test_a_run_without_workers_gives_up(monkeypatch):
-    monkeypatch.setattr("stickslip.pipeline.running.submit.LOST_TIMEOUT", 0.5)
-    with cluster.connect(1, None) as client:
-        client.cluster.scale(0)
-        with pytest.raises(ScheduleError, match="expected workers, got none for"):
-            submit._until(lambda: False, submit._Patience(client, None, "go on"))
-
-
-def test_a_run_at_an_address_says_that_it_waits_for_workers(monkeypatch):
+def test_without_workers_a_run_gives_up_but_at_an_address_says_that_it_waits(monkeypatch):
     said = []
-    monkeypatch.setattr("stickslip.pipeline.running.submit.LOST_TIMEOUT", 0.5)
+    monkeypatch.setattr(submit, "LOST_TIMEOUT", 0.5)
     monkeypatch.setattr(submit.log, "warning", lambda words, *_: said.append(words))
     with cluster.connect(1, None) as client:
         client.cluster.scale(0)
         submit._until(lambda: len(said) > 1, submit._Patience(client, client, "go on"))
+        with pytest.raises(ScheduleError, match="expected workers, got none for"):
+            submit._until(lambda: False, submit._Patience(client, None, "go on"))
     assert all(words.startswith("waiting for workers: ") for words in said)
 
 

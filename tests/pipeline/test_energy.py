@@ -6,38 +6,21 @@ import pytest
 from stickslip import Dataset
 from stickslip.pipeline import SceneError, expand, parse_scene, query, run_ensemble, verify
 from stickslip.sim.energy import energy
+from tests.scenes import COULOMB, ensemble
 
-SOURCE = """\
-[system]
-coupling = "chain"
-n = 6
-kappa = 2.0
-leaf = 1.0
-rho = 0.1
-static = 1.4
-belt_speed = -0.1
-TERMS
-[start]
-z = {uniform = [-0.3, 0.3]}
-w = "belt"
-[run]
-t_end = 80.0
-matrices = 3
-seed = SEED
-[[engine]]
-name = "coulomb"
-tol = 1e-13
-[[engine]]
-name = "moreau"
-step = 0.1
-[record]
-energy = true
-episodes = true
-[analysis]
-t_burn = 1.0
-dt = 0.5
-"""
-MOREAU = '[[engine]]\nname = "moreau"\nstep = 0.1\n'
+EXACT, STEPS = f"{COULOMB}\ntol = 1e-13", 'name = "moreau"\nstep = 0.1'
+SOURCE = ensemble(
+    6,
+    80.0,
+    3,
+    EXACT,
+    STEPS,
+    seed="SEED",
+    system='coupling = "chain"\nkappa = 2.0\nleaf = 1.0\nrho = 0.1\nstatic = 1.4\nbelt_speed = -0.1\nTERMS',
+    start='z = {uniform = [-0.3, 0.3]}\nw = "belt"',
+    rest="[record]\nenergy = true\nepisodes = true",
+)
+MOREAU = f"[[engine]]\n{STEPS}\n"
 TERMS = {
     "dry": "",
     "driven": "force = {amplitude = 0.2, frequency = 0.7}",
@@ -134,7 +117,7 @@ def test_without_an_engine_of_the_exact_law_it_is_refused(random_seed):
     with pytest.raises(
         SceneError, match=r"record.energy: expected an engine of the exact law, got 'moreau' alone; add"
     ):
-        scene("dry", random_seed, SOURCE.replace('name = "coulomb"\ntol = 1e-13\n[[engine]]\n', ""))
+        scene("dry", random_seed, SOURCE.replace(f"[[engine]]\n{EXACT}\n", ""))
 
 
 def test_it_is_kept_of_runs_that_are_tested_for_collapse(tmp_path):

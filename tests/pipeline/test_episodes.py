@@ -7,33 +7,19 @@ from stickslip import Dataset
 from stickslip.pipeline import QueryError, expand, parse_scene, query, run_ensemble, verify
 from stickslip.pipeline.records.slips.episodes import EpisodesRecord
 from stickslip.sim.episodes import episodes
+from tests.scenes import COULOMB, ON_BELTS, SIGMOID, ensemble
 
-SOURCE = """\
-[system]
-coupling = "chain"
-n = 5
-kappa = 4.0
-leaf = 1.0
-rho = 0.2
-static = [1.0, 1.4]
-belt_speed = -0.05
-[start]
-z = {uniform = [-0.2, 0.2]}
-w = "belt"
-[run]
-t_end = 100.0
-matrices = 2
-seed = SEED
-[[engine]]
-name = "coulomb"
-[[engine]]
-name = "sigmoid"
-[record]
-episodes = true
-[analysis]
-t_burn = 1.0
-dt = 0.5
-"""
+SOURCE = ensemble(
+    5,
+    100.0,
+    2,
+    COULOMB,
+    SIGMOID,
+    seed="SEED",
+    system='coupling = "chain"\nkappa = 4.0\nleaf = 1.0\nrho = 0.2\nstatic = [1.0, 1.4]\nbelt_speed = -0.05',
+    start=ON_BELTS,
+    rest="[record]\nepisodes = true",
+)
 
 
 @pytest.fixture(scope="module")

@@ -267,12 +267,6 @@ def test_a_function_of_an_installed_package(tmp_path):
     assert "failed" not in done.stdout
 
 
-def test_a_system_is_the_functions_own(tmp_path):
-    member = expand(load_scene(written(tmp_path)))[-1]
-    run = sim.simulate(member.system(), -0.7, -0.4, t_end=5.0, tol=1e-6)
-    assert member.simulate().events.t.tolist() == run.events.t.tolist()
-
-
 LAZY = OWN.replace("    K = ", "    from late.part import STIFF as late\n    stiff = late\n    K = ")
 BY_PATH = OWN.replace(
     "    K = ",

@@ -109,7 +109,7 @@ def test_names_go_from_the_scene_to_query_filter_and_report(tmp_path, monkeypatc
 
 @pytest.mark.parametrize(
     "name",
-    ["end", "N", "Start", "size", "z", "for", "lambda", "a b", "friction", "change_row_size", "change", "ö" * 128],
+    ["end", "a b", "change_row_size", "ö" * 128],
 )
 def test_a_name_that_clashes_is_refused_before_anything_is_written(name, tmp_path, monkeypatch, capsys):
     written(tmp_path, with_names(name), ANY)

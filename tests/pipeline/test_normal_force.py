@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stickslip import Curve, Harmonic, Piecewise, System
+from stickslip import Harmonic, Piecewise, System
 from stickslip.pipeline import SceneError, parse_scene
 from tests.scenes import COULOMB, ensemble
 
@@ -24,13 +24,6 @@ def test_friction_that_changes_is_refused_in_python(name, value):
 def test_a_normal_load_is_constant_and_not_negative(normal):
     with pytest.raises((TypeError, ValueError), match=r"normal: expected"):
         System.from_physical(np.eye(2), 0.1, 0.4, 0.1, mass=1.0, normal=normal)
-
-
-def test_a_law_never_drives():
-    with pytest.raises(ValueError, match=r"expected coefficients of at least 0, got -"):
-        Curve(lambda u: 0.3 - u)
-    with pytest.raises(ValueError, match=r"friction: expected mu >= 0, got -1 for block 1"):
-        System(np.eye(2), 0.1, [1.0, -1.0])
 
 
 @pytest.mark.parametrize("keys", [

@@ -51,7 +51,7 @@ def stored(finished, memory):
 # ------------------------------------------------------------------------------------------ the same dataset
 
 
-def test_same_bytes_as_in_a_directory_and_every_question_answered_alike(scene, source, finished, content, memory):
+def test_same_bytes_as_in_a_directory_and_every_question_answered_alike(scene, finished, content, memory):
     assert run_ensemble(scene, OUT, workers=0).is_complete
     assert objects_of(memory) == content(finished)
     assert verify(OUT) == []
@@ -72,7 +72,7 @@ def test_an_address_of_this_machine_is_a_directory(finished):
     assert verify(f"file://{finished}/") == []
 
 
-def test_damage_is_found_and_only_that_is_computed_again(scene, source, finished, content, stored, memory):
+def test_damage_is_found_and_only_that_is_computed_again(scene, finished, content, stored, memory):
     names = sorted(name for name in objects_of(memory) if name.startswith("data/"))
     store = fsspec.filesystem("memory")
     store.pipe_file(f"/bucket/out/{names[1]}", b"x")
@@ -91,7 +91,7 @@ def test_damage_is_found_and_only_that_is_computed_again(scene, source, finished
     assert objects_of(memory) == content(finished) | {"data/notes.txt": b"mine"}
 
 
-def test_a_lost_manifest_is_made_again_from_the_record(scene, source, finished, content, memory, monkeypatch):
+def test_a_lost_manifest_is_made_again_from_the_record(scene, finished, content, memory, monkeypatch):
     run_ensemble(scene, OUT, workers=0)
     del memory["/bucket/out/manifest.json"]
     with pytest.raises(StoreError, match=r"memory://bucket/out: expected a dataset, found no manifest\.json"):
@@ -101,7 +101,7 @@ def test_a_lost_manifest_is_made_again_from_the_record(scene, source, finished, 
     assert objects_of(memory) == content(finished)
 
 
-def test_a_dataset_is_the_same_wherever_it_is_copied(scene, source, finished, content, memory, tmp_path, monkeypatch):
+def test_a_dataset_is_the_same_wherever_it_is_copied(scene, finished, content, memory, tmp_path, monkeypatch):
     run_ensemble(scene, OUT, workers=0)
     fsspec.filesystem("memory").get("/bucket/out/", f"{tmp_path}/", recursive=True)
     assert content(tmp_path) == content(finished)
@@ -110,7 +110,7 @@ def test_a_dataset_is_the_same_wherever_it_is_copied(scene, source, finished, co
     assert run_ensemble(scene, tmp_path, workers=0).is_complete
 
 
-def test_files_of_something_else_are_refused_and_left_alone(scene, source, memory):
+def test_files_of_something_else_are_refused_and_left_alone(scene, memory):
     fsspec.filesystem("memory").pipe_file("/bucket/out/thesis.tex", b"all of it")
     with pytest.raises(StoreError, match=r"got files but no manifest\.json; choose another directory"):
         run_ensemble(scene, OUT, workers=0)
@@ -126,7 +126,7 @@ def leave_lock(seconds, owner="process 1234 on elsewhere"):
     fsspec.filesystem("memory").pipe_file("/bucket/out/.lock", lock.encode())
 
 
-def test_a_lock_that_holds_is_a_refusal_that_says_until_when(scene, source, stored, memory):
+def test_a_lock_that_holds_is_a_refusal_that_says_until_when(scene, stored, memory):
     leave_lock(42.4)
     before = objects_of(memory)
     assert running(stored).owner == "process 1234 on elsewhere"
@@ -135,7 +135,7 @@ def test_a_lock_that_holds_is_a_refusal_that_says_until_when(scene, source, stor
     assert objects_of(memory) == before
 
 
-def test_a_lock_that_ran_out_is_taken_over(scene, source, stored, memory, impatient):
+def test_a_lock_that_ran_out_is_taken_over(scene, stored, memory, impatient):
     leave_lock(-0.1)
     assert running(stored) is None
     assert run_ensemble(scene, stored, workers=0).is_complete
@@ -181,7 +181,7 @@ def test_a_lock_is_renewed_as_long_as_its_owner_lives(memory, impatient, monkeyp
 
 
 def test_who_lost_the_lock_commits_nothing_more_and_leaves_the_other_be(
-    scene, source, finished, content, memory, impatient, monkeypatch
+    scene, finished, content, memory, impatient, monkeypatch
 ):
     monkeypatch.setattr(object_store, "LEASE", 0.2)
 
@@ -203,7 +203,7 @@ def test_who_lost_the_lock_commits_nothing_more_and_leaves_the_other_be(
     assert objects_of(memory) == content(finished)
 
 
-def test_a_store_that_overwrites_where_it_is_told_to_create_is_refused(scene, source, memory, monkeypatch):
+def test_a_store_that_overwrites_where_it_is_told_to_create_is_refused(scene, memory, monkeypatch):
     """As some S3 servers do, and s3fs before 2024.12."""
     system = type(fsspec.filesystem("memory"))
     put = system.pipe_file
@@ -266,15 +266,13 @@ def requests(monkeypatch):
 
 
 @pytest.mark.parametrize("is_late", [False, True])
-def test_what_fails_in_passing_is_tried_again(is_late, scene, source, finished, content, memory, impatient, requests):
+def test_what_fails_in_passing_is_tried_again(is_late, scene, finished, content, memory, impatient, requests):
     requests |= {k: (OSError(5, "busy"), is_late) for k in range(1, 60, 2)}
     assert run_ensemble(scene, OUT, workers=0).is_complete
     assert objects_of(memory) == content(finished)
 
 
-def test_what_goes_on_failing_is_one_clear_error_and_resumes(
-    scene, source, finished, content, memory, impatient, requests
-):
+def test_what_goes_on_failing_is_one_clear_error_and_resumes(scene, finished, content, memory, impatient, requests):
     def lost(progress):
         if progress.n_shards_done == 3:
             requests["from now on"] = (TimeoutError("no answer"), False)
@@ -288,7 +286,7 @@ def test_what_goes_on_failing_is_one_clear_error_and_resumes(
 
 
 @pytest.mark.parametrize("error", [PermissionError("Access Denied"), FileNotFoundError("no such bucket")])
-def test_what_is_refused_is_not_asked_again(error, scene, source, memory, requests):
+def test_what_is_refused_is_not_asked_again(error, scene, memory, requests):
     requests["from now on"] = (error, False)
     with pytest.raises(StoreError, match=rf"memory://bucket/out/\.lock: cannot be written \({error}\)"):
         run_ensemble(scene, OUT, workers=0)
@@ -304,7 +302,7 @@ def test_what_cannot_be_opened_says_what_to_do(monkeypatch):
         status("nowhere://bucket/out")
 
 
-def test_the_second_signal_takes_no_longer_than_it_may(scene, source, finished, stored, impatient, monkeypatch):
+def test_the_second_signal_takes_no_longer_than_it_may(scene, finished, stored, impatient, monkeypatch):
     monkeypatch.setattr("stickslip.pipeline.dataset.writer._LAST_SECONDS", 0.1)
     answered, listed = threading.Event(), []
     with Store(stored, scene) as store:
@@ -316,7 +314,7 @@ def test_the_second_signal_takes_no_longer_than_it_may(scene, source, finished, 
         monkeypatch.undo()
 
 
-def test_a_copy_of_a_directory_with_its_lock_is_no_obstacle(scene, source, finished, tmp_path, memory, impatient):
+def test_a_copy_of_a_directory_with_its_lock_is_no_obstacle(scene, finished, tmp_path, memory, impatient):
     out = shutil.copytree(finished, tmp_path / "out")
     (out / ".lock").write_text("process 1 on elsewhere\n")
     fsspec.filesystem("memory").put(f"{out}/", "/bucket/out/", recursive=True)

@@ -71,15 +71,6 @@ def test_series_are_the_runs_own(finished, scene):
     assert seen == list(members)
 
 
-def test_n_stick_holds_from_its_time_on(finished, scene):
-    member = expand(scene)[-1]
-    t, n_stick = query.n_stick(finished, member.member_id)
-    assert len(t) > 1
-    middles = (t + np.append(t[1:], member.t_end)) / 2
-    events = member.simulate().events
-    assert np.array_equal(events.n_stick(middles), n_stick)
-
-
 def test_events_come_back_whole(finished, scene):
     for member in expand(scene)[::5]:
         want, got = member.simulate().events, query.events(finished, member.member_id)
@@ -390,7 +381,7 @@ def test_an_interrupt_while_a_query_is_handed_over_ends_it(finished, monkeypatch
         query.sql(finished, ENDLESS)
 
 
-def test_cascades_by_hand(finished, scene):
+def test_cascades_by_hand(finished):
     """From the definition: walk along n_stick; what falls between a rise and the next rise is one cascade."""
     found = query.sql(finished, "SELECT * FROM cascades")
     assert len(found) > 20

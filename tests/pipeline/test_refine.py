@@ -91,7 +91,7 @@ def test_a_function_with_a_full_damping_matrix_is_refined_along_its_parameter(tm
     assert verify(tmp_path / "out") == []
 
 
-def test_it_can_be_added_without_a_run(tmp_path, content):
+def test_it_can_be_added_without_a_run(tmp_path):
     text = SCENE.replace("critical_mode = true\nrefine = 0.01\n", "events = true\nend = true\n")
     run_ensemble(parse_scene(text.encode()), tmp_path / "plain", workers=0)
     extend(tmp_path / "plain", {"refine": 0.01}, tmp_path / "out", workers=0)

@@ -476,7 +476,6 @@ BAD = {
     "no seeds": ("seed = 3", "seed = []", ["run.seed", "1 to 1000 values"]),
     "a seed twice": ("seed = 3", "seed = [3, 3]", ["run.seed", "each value once"]),
     "a list where none can be": ("t_end = 5.0", "t_end = [5.0, 6.0]", ["run.t_end", "takes no list"]),
-    "a list where none makes sense": ("t_end = 5.0", "t_end = [5.0, 6.0]", ["run.t_end", "takes no list"]),
     "a list of names": ('coupling = "antisymmetric"', 'coupling = ["full", "springs"]',
         ["system.coupling", "takes no list"]),
     "an empty list": ("kappa = [0.2, 0.1]", "kappa = []", ["system.kappa", "1 to 1000 values, got 0"]),

@@ -158,7 +158,7 @@ def test_places_of_a_sparse_file_are_integers(key, kind, tmp_path):
         load_scene(tmp_path / "mine.toml")
 
 
-def test_a_dataset_of_files_is_the_same_on_workers_grows_and_outlives_them(tmp_path, arrays, rng, content):
+def test_a_dataset_of_files_is_the_same_on_workers_grows_and_outlives_them(tmp_path, arrays, content):
     text = SCENE.replace("K.npz", "K*.npz")
     file = written(tmp_path, arrays, text)
     run_ensemble(load_scene(file), tmp_path / "out", workers=0)
@@ -294,10 +294,6 @@ def test_a_file_is_found_from_another_directory_than_the_scene_was_read_in(tmp_p
 BAD = {
     "not square": ({"stiffness": np.zeros((4, 3))}, ["K.npz: stiffness", "square", "(4, 3)"]),
     "nan": ({"stiffness": np.full((4, 4), np.nan)}, ["K.npz: stiffness", "finite", "NaN"]),
-    "another n": (
-        {"stiffness": np.eye(5), "friction": np.ones(5), "z0": np.ones(5)},
-        ["system.n", "of the files, [5], got [4]", "leave n out"],
-    ),
     "text": ({"stiffness": np.full((4, 4), "a")}, ["K.npz", "stiffness: expected an array of real numbers", "<U1"]),
     "wholes beyond floats": ({"stiffness": np.diag([1, 2, 3, 2**53 + 1])}, ["K.npz", "stiffness: ", "up to 2^53"]),
     "objects": ({"stiffness": np.full((4, 4), None)}, ["K.npz", "pickle"]),
@@ -329,7 +325,6 @@ BAD_SCENES = {
     "a key that the file has": ("n = 4", "n = 4\nfriction = 1.0", ["system.friction", "array `friction` of K.npz"]),
     "a start that the file lacks": ("w = {uniform = [-0.3, 0.1]}\ndraws = 2", 'w = "file"', ["start.w", "`w0`"]),
     "a scale of a file": ("n = 4", "n = 4\nkappa = 0.2", ["system.kappa", "K itself", "remove it"]),
-    "more n than files": ("n = 4", "n = [4, 5]", ["system.n", "of the files, [4], got [4, 5]; leave n out"]),
 }  # fmt: skip
 
 

@@ -3,11 +3,12 @@
 import numba
 import numpy as np
 import pytest
+from numba import types
 
 from stickslip.sim import System, simulate
 from stickslip.sim.engines import sigmoid_law
+from stickslip.sim.kernels.emit import emitted
 from stickslip.sim.numerics import panels, radau
-from stickslip.sim.numerics.lanes import on_number
 from stickslip.sim.systems.friction import hidden_term
 from tests.fuzz.draw import draw
 from tests.fuzz.judge import judge
@@ -72,11 +73,11 @@ def test_the_law_and_its_slope():
     of_number = numba.njit(lambda x, c: sigmoid_law.sign_of_number(x, c))
     x = np.concatenate(([0.0], np.geomspace(1e-12, 400.0, 300), -np.geomspace(1e-12, 400.0, 300)))
     lam, rise = np.tanh(x), 1 / np.cosh(np.clip(x, -300, 300)) ** 2
+    peaked = emitted(lambda code, x, c: sigmoid_law.peaked_sign(x, c), types.UniTuple(types.float64, 2))
+    of_both = numba.njit(lambda x, c: peaked(x, c))
     for ratio in (1.0, 1.3, 3.0):
         c = float(hidden_term(ratio))
-        apply = on_number(lambda x, c=c: sigmoid_law.peaked_sign(x, x * 0.0 + c))
-        of_both = numba.njit(lambda x, apply=apply: apply(x))
-        values = np.array([of_both(each) for each in x])
+        values = np.array([of_both(each, c) for each in x])
         s = lam + c * lam * rise
         assert np.abs(values[:, 0] - s).max() <= (2 + 8 * c) * np.finfo(float).eps
         assert np.abs(values[:, 1] - rise * (1 + c * (3 * rise - 2))).max() < (1 + 8 * c) * 1e-15

@@ -134,7 +134,6 @@ def test_den_hartogs_steady_response(frequency, share):
     turns = first.events.t[-6:]
     run = simulate(system, 1.0, 0.0, 2000.0, t_eval=turns)
     v, u = 1 / (1 - frequency**2), np.tan(np.pi / (2 * frequency)) / frequency
-    print(np.abs(run.samples.z[:, 0]) - np.sqrt(v**2 - (u * share) ** 2))
     np.testing.assert_allclose(np.abs(run.samples.z[:, 0]), np.sqrt(v**2 - (u * share) ** 2), rtol=1e-8)
     np.testing.assert_allclose(np.diff(turns), np.pi / frequency, rtol=1e-8)
     assert first.events.counts()["n_entries"] < 10
@@ -274,10 +273,8 @@ def test_a_block_without_friction_starts_at_rest_and_not_on_its_belt():
 # series of many values
 
 
-@pytest.mark.parametrize("at_once", [3, 1024])
-def test_a_measured_series_is_followed_value_by_value(at_once, rng, monkeypatch):
-    """Belts and forces of 150 values each, so many pieces prepared at once, by a method that shares no code."""
-    monkeypatch.setattr(forcing, "_AT_ONCE", at_once)
+def test_a_measured_series_is_followed_value_by_value(rng):
+    """Belts and forces of 150 values each, by a method that shares no code."""
     n, k = 3, 150
     t, other = (np.cumsum(rng.uniform(0.02, 0.2, k)) - 1.0 for _ in range(2))
     belt, push = -0.3 + 0.2 * rng.uniform(-1.0, 1.0, (k, n)), rng.uniform(-1.0, 1.0, (k, n))

@@ -36,7 +36,7 @@ def test_one_block(damping, rng):
     assert run.stats.n_steps < 100
 
 
-def test_creep_meets_its_belt(rng):
+def test_creep_meets_its_belt():
     """w of a block on its slow motion falls like exp(slow t): it is caught when that is the belt's speed."""
     damping, v = 1e6, 1e-7
     run = simulate(System([[1.0]], damping, 0.2, v), -2.0, 0.5, 1e7, tol=1e-12)

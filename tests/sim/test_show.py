@@ -1,5 +1,7 @@
 """What a notebook shows of a run: short words, tables, drawings on the axes it is given."""
 
+from functools import cache
+
 import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
@@ -11,7 +13,13 @@ from stickslip.sim import EventSeries, Samples, System, draw_system, simulate
 from stickslip.sim.runs import show
 
 SYSTEM = draw_system("antisymmetric", n=30, seed=0)
-RUN = simulate(SYSTEM, -0.7, -0.4, 20.0, t_eval=[0.0, 10.0, 20.0])
+
+
+@cache
+def kept():
+    """A run; none is made while tests are collected, which would compile in one process."""
+    return simulate(SYSTEM, -0.7, -0.4, 20.0, t_eval=[0.0, 10.0, 20.0])
+
 
 #: Block 0 sticks, slips right at 1, sticks at 3; block 1 slips left to the end, 4.
 PLANTED = EventSeries(
@@ -24,18 +32,14 @@ PLANTED = EventSeries(
 )
 
 
-@pytest.mark.parametrize(
-    "thing", [SYSTEM, RUN, RUN.events, RUN.samples, RUN.stats, Samples.blank(np.empty(0), 0), PLANTED]
-)
-def test_words_are_one_short_line(thing):
-    assert "\n" not in repr(thing)
-    assert len(repr(thing)) < 90
-    assert repr(thing).startswith(type(thing).__name__)
-
-
-def test_words_hold_the_numbers():
-    assert repr(RUN.samples) == "Samples(n=30, 3 times on [0, 20])"
-    assert f"{len(RUN.events)} events" in repr(RUN)
+def test_words_are_one_short_line():
+    run = kept()
+    for thing in SYSTEM, run, run.events, run.samples, run.stats, Samples.blank(np.empty(0), 0), PLANTED:
+        assert "\n" not in repr(thing)
+        assert len(repr(thing)) < 90
+        assert repr(thing).startswith(type(thing).__name__)
+    assert repr(run.samples) == "Samples(n=30, 3 times on [0, 20])"
+    assert f"{len(run.events)} events" in repr(run)
 
 
 def cells(thing):
@@ -47,8 +51,8 @@ def cells(thing):
 
 def test_tables():
     assert cells(PLANTED) == {"events": "2", "entries": "1", "exits": "1", "crossings": "0"}
-    assert cells(RUN)["outcome"] == "finished at t = 20"
-    assert int(cells(RUN)["n_stick at the end"]) == RUN.n_stick(20.0)
+    assert cells(kept())["outcome"] == "finished at t = 20"
+    assert int(cells(kept())["n_stick at the end"]) == kept().n_stick(20.0)
     sparse = System(stiffness=scipy.sparse.eye_array(3, format="csr"), damping=[1.0, 2.0, 3.0])
     assert cells(sparse) == {
         "stiffness K": "|K_ij| up to 1, sparse with 3 entries",
@@ -62,9 +66,9 @@ def test_tables():
 def test_a_run_shows_its_picture(clean):
     import base64
 
-    _, _, image = RUN._repr_html_().partition("data:image/png;base64,")
+    _, _, image = kept()._repr_html_().partition("data:image/png;base64,")
     assert base64.b64decode(image.partition('"')[0]).startswith(b"\x89PNG")
-    assert '<img alt="n_stick and modes"' in RUN._repr_html_()
+    assert '<img alt="n_stick and modes"' in kept()._repr_html_()
 
 
 @pytest.fixture
@@ -76,11 +80,11 @@ def clean():
     assert plt.get_fignums() == before
 
 
-@pytest.mark.parametrize("plot", [RUN.plot, RUN.events.plot])
-def test_axes_given_are_drawn_on_and_returned(plot, clean):
+@pytest.mark.parametrize("shown", [kept, lambda: kept().events], ids=["run", "events"])
+def test_axes_given_are_drawn_on_and_returned(shown, clean):
     figure = Figure()
     left, right = figure.subplots(1, 2)
-    assert plot(ax=right) is right
+    assert shown().plot(ax=right) is right
     assert not left.has_data()
     assert right.has_data()
     figure.savefig("/dev/null", format="png")
@@ -90,20 +94,20 @@ def test_axes_given_are_drawn_on_and_returned(plot, clean):
 def test_the_legend_covers_nothing(shape, clean):
     """It is inside the axes, over the last block, so that it covers neither blocks nor a neighbour's labels."""
     figure = Figure()
-    ax = RUN.events.plot(ax=figure.subplots(*shape, squeeze=False)[-1, 0])
+    ax = kept().events.plot(ax=figure.subplots(*shape, squeeze=False)[-1, 0])
     figure.savefig("/dev/null", format="png")
     box, axes = ax.get_legend().get_window_extent(), ax.get_window_extent()
     assert axes.x0 <= box.x0 < box.x1 <= axes.x1
-    assert ax.transData.transform((0.0, RUN.events.n - 0.5))[1] <= box.y0 + 1.0  # a pixel
+    assert ax.transData.transform((0.0, kept().events.n - 0.5))[1] <= box.y0 + 1.0  # a pixel
     assert box.y1 <= axes.y1 + 1.0
     labels = [label.get_text() for label in ax.get_yticklabels() if label.get_text()]
-    assert max(map(int, labels)) < RUN.events.n
+    assert max(map(int, labels)) < kept().events.n
 
 
-@pytest.mark.parametrize("plot", [RUN.plot, RUN.events.plot])
-def test_without_axes_a_new_figure_is_drawn(plot, clean):
+@pytest.mark.parametrize("shown", [kept, lambda: kept().events], ids=["run", "events"])
+def test_without_axes_a_new_figure_is_drawn(shown, clean):
     mine, _ = plt.subplots()
-    ax = plot()
+    ax = shown().plot()
     assert ax.figure is not mine
     assert plt.gcf() is ax.figure
     plt.close(ax.figure)
@@ -111,11 +115,11 @@ def test_without_axes_a_new_figure_is_drawn(plot, clean):
 
 
 def test_the_steps_are_n_stick(clean):
-    ax = RUN.plot(ax=Figure().subplots(), color="black", label="mine")
+    ax = kept().plot(ax=Figure().subplots(), color="black", label="mine")
     (line,) = ax.lines
     assert (line.get_label(), line.get_color()) == ("mine", "black")
     t, n_stick = line.get_data()
-    np.testing.assert_array_equal(n_stick, RUN.n_stick(t))
+    np.testing.assert_array_equal(n_stick, kept().n_stick(t))
     assert t[-1] == 20.0
 
 

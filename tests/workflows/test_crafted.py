@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import os
 import re
 import shutil
@@ -22,17 +21,10 @@ from stickslip.pipeline.dataset.opened import open_dataset
 from stickslip.pipeline.places.manifest import read_manifest
 from stickslip.workflows.commands import main
 from stickslip.workflows.reporting import report
+from tests.pipeline.test_writer import forge
 from tests.scenes import ensemble
 
 N, T_END = 12, 40.0  # of the small scene: values are just beyond what they can be
-
-
-def forge(place, name):
-    """Have the manifest say of a shard what is there, but for its rows."""
-    manifest, content = read_manifest(place), (place / "data" / name).read_bytes()
-    sha256 = hashlib.sha256(content).hexdigest()
-    manifest.shards[name] = manifest.shards[name].model_copy(update={"sha256": sha256, "bytes": len(content)})
-    (place / "manifest.json").write_bytes(manifest.to_bytes())
 
 
 def column(table, name, values):

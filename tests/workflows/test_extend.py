@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from stickslip import Dataset, draw_system, simulate
+from stickslip import draw_system, simulate
 from stickslip.pipeline import query
 from stickslip.pipeline.machine.signals import Interrupted
 from stickslip.pipeline.running import driver, estimate
@@ -53,8 +53,6 @@ def test_a_dry_run_says_what_is_run_again_and_writes_nothing(dataset, tmp_path, 
 
 @pytest.mark.parametrize(("words", "said"), [
     (["waitings"], "record.waitings: unknown key of [record]; did you mean 'waiting'?"),
-    (["events"],
-        "record: expected a record that the data lack, got events, which they have; name another, as in `wait"),
     (["waiting", "t_burn=soon"], "--record: expected a value as a scene has it, such as t_burn=50, got 't_burn="),
     (["waiting", "waiting"], "--record: expected each key once, got waiting twice; leave one out"),
 ])  # fmt: skip
@@ -64,22 +62,12 @@ def test_what_cannot_be_added_is_refused_in_a_line(words, said, dataset, tmp_pat
     assert not (tmp_path / "out").exists()
 
 
-def test_no_dataset_is_refused(tmp_path, capsys):
-    assert main(["extend", str(tmp_path), "--record", "waiting", "--out", str(tmp_path / "out")]) == 1
-    assert "expected a dataset, found no manifest.json" in capsys.readouterr().err
-
-
-def test_a_scene_with_more_members_and_records(dataset, small_scene, tmp_path, capsys):
+def test_a_scene_with_more_members_and_records(here, dataset, small_scene, tmp_path, capsys):
     more = tmp_path / "more.toml"
     more.write_text(small_scene.read_text().replace("events = true", "events = true\nwaiting = true"))
     words = ["--scene", str(more), "--out", str(tmp_path / "out"), "--workers", "1", "--no-report"]
     assert main(["extend", str(dataset), *words]) == 0
     assert "waiting_mean" in query.members(tmp_path / "out")
-
-
-def test_from_python(dataset, tmp_path):
-    extended = Dataset(dataset).extend({"first_exit": True}, tmp_path / "out", workers=0, quiet=True)
-    assert extended.members.first_exit.notna().all()
 
 
 def test_a_run_that_goes_on_is_not_one_in_one_piece(rng):

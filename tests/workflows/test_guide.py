@@ -133,18 +133,6 @@ def test_4_cascades_are_those_of_the_report(ask, kept):
     np.testing.assert_allclose(found.groupby(["n", "engine"])["share"].sum(), 1.0)
 
 
-def test_the_view_cascades_is_the_analysis_from_first_to_last(kept):
-    ends = query.members(kept).set_index("member_id")["t_end"]
-    found = query.sql(kept, "SELECT * FROM cascades")
-    assert len(found) > 50
-    for member_id, (t, n_stick) in query.series(kept).items():
-        want = spans(window(t, n_stick, 0.0, ends[member_id]))
-        rows = found[found["member_id"] == member_id]
-        np.testing.assert_array_equal(rows["start"], want.start)
-        np.testing.assert_array_equal(rows["stop"], want.stop)
-        np.testing.assert_array_equal(rows["size"], want.size)
-
-
 def test_5_largest(ask, kept):
     found = ask(5)
     assert found["size"].is_monotonic_decreasing

@@ -7,32 +7,19 @@ from stickslip.analysis import measures
 from stickslip.analysis.questions.runs.changes import answer as changes_of
 from stickslip.pipeline import parse_scene, query, run_ensemble
 from stickslip.workflows.reporting import study_of
+from tests.scenes import COULOMB, ON_BELTS, ensemble
 
-SCENE = """
-[system]
-coupling = "chain"
-n = 6
-kappa = 4.0
-leaf = 1.0
-rho = 0.2
-static = 1.4
-belt_speed = -0.1
-weakening = {law = "rational", rate = [0.5, 5.0]}
-[start]
-z = {uniform = [-0.2, 0.2]}
-w = "belt"
-[run]
-t_end = 120.0
-matrices = 5
-[record]
-episodes = true
-energy = true
-[[engine]]
-name = "coulomb"
-[analysis]
-t_burn = 20.0
-dt = 0.5
-"""
+SCENE = ensemble(
+    6,
+    120.0,
+    5,
+    COULOMB,
+    system='coupling = "chain"\nkappa = 4.0\nleaf = 1.0\nrho = 0.2\nstatic = 1.4\nbelt_speed = -0.1\n'
+    'weakening = {law = "rational", rate = [0.5, 5.0]}',
+    start=ON_BELTS,
+    rest="[record]\nepisodes = true\nenergy = true",
+    analysis="t_burn = 20.0\ndt = 0.5",
+)
 
 
 def test_a_swept_chain_tells_of_its_episodes_and_then_of_its_energy(tmp_path):

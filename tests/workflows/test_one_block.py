@@ -13,7 +13,6 @@ from stickslip.workflows.gallery.charts import runner
 from stickslip.workflows.gallery.field import one_block
 from stickslip.workflows.gallery.field.forced import Forced, State, most_friction, shape, sliding_cycle
 from stickslip.workflows.gallery.field.one_block import Basin, Measured, Period, Shifted, Sliding, Stability, Stops
-from stickslip.workflows.scenes import shipped
 
 TINY = """
 chart = "one_block"
@@ -206,10 +205,3 @@ def test_the_page(tmp_path):
     assert not re.search(r">\s*(nan|inf|None)\s*<", report.html)
     assert set(report.tables) == {"claims", "periods", "sliding", "stability", "shifted", "stops"}
     assert report.headline[1].startswith("Of 8 claims ")
-
-
-def test_the_shipped_scene_is_what_its_keys_say_by_default():
-    shown = load_chart(shipped()["one_block"])
-    default = type(shown)(chart="one_block")
-    other = {"about", "minutes", "title"}
-    assert shown.model_dump(exclude=other) == default.model_dump(exclude=other)

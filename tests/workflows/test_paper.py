@@ -541,7 +541,7 @@ def test_a_period_that_runs_have_without_noise_is_not_new(period, swing, words, 
     )
 
 
-def test_the_law_has_a_gamma_a_definition_and_none_is_picked(judged, told, measured):
+def test_the_law_has_a_gamma_a_definition_and_none_is_picked(judged, told):
     one = Cascades("events", None, 10, 9000, 14, 0.7, 0.69, 0.71, None, [[50, 20, 10]])
     many = [one] + [
         replace(one, definition=name, dt=dt, gamma=gamma, low=gamma - 0.02, high=gamma + 0.02)
@@ -559,7 +559,7 @@ def test_the_law_has_a_gamma_a_definition_and_none_is_picked(judged, told, measu
         assert judged(cascades=rows)["gamma"]["verdict"] == verdict
 
 
-def test_the_law_is_an_exponential_if_it_is_by_every_reading_of_the_papers_words(judged, told, measured):
+def test_the_law_is_an_exponential_if_it_is_by_every_reading_of_the_papers_words(judged, told):
     """By events alone it is not enough: the paper counts by falls."""
     one = Cascades("events", None, 10, 9000, 14, 0.7, 0.69, 0.71, None, [[50, 20, 10]], -0.03, -0.04, -0.02)
 

@@ -156,7 +156,7 @@ def test_a_link_of_another_user_does_not_lead_to_a_dataset(words, is_above, plac
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can have links of another user")
-def test_a_link_of_another_user_leads_to_what_is_that_users_and_makes_nothing_elsewhere(place, small_scene, tmp_path):
+def test_a_link_of_another_user_leads_to_what_is_that_users_and_makes_nothing_elsewhere(place, tmp_path):
     (private := tmp_path / "private").mkdir()
     for name, folder in (("to theirs", place), ("to ours", private)):
         (tmp_path / name).symlink_to(folder)

@@ -42,9 +42,9 @@ def member(kept):
 
 
 @pytest.mark.parametrize(
-    ("name", "begins"), [("a.svg", b"<?xml"), ("a.pdf", b"%PDF"), ("a.PNG", b"\x89PNG")], ids=["svg", "pdf", "png"]
+    ("kind", "name", "begins"),
+    [("space_time", "a.svg", b"<?xml"), ("n_stick", "a.pdf", b"%PDF"), ("slip", "a.PNG", b"\x89PNG")],
 )
-@pytest.mark.parametrize("kind", ["space_time", "n_stick", "slip"])
 def test_a_picture_is_a_file_and_twice_the_same(kept, member, tmp_path, kind, name, begins, capsys):
     contents = set()
     for folder in ("one", "two"):

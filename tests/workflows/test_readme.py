@@ -75,7 +75,7 @@ def unmet(platform):
     return missing
 
 
-@pytest.mark.parametrize("version", ["3.11", "3.12", "3.13", "3.14"])
+@pytest.mark.parametrize("version", ["3.11", "3.14"])
 @pytest.mark.parametrize("system", ["Linux", "Darwin"])
 def test_the_lock_is_whole(version, system):
     """For it is installed without resolving. What a package needs is read from the version that is installed here."""

@@ -11,7 +11,6 @@ from stickslip.workflows.gallery import load_chart
 from stickslip.workflows.gallery.charts import runner
 from stickslip.workflows.gallery.field import two_blocks
 from stickslip.workflows.gallery.field.two_blocks import End, Measured, Pair, Together, Unequal
-from stickslip.workflows.scenes import shipped
 from tests.independent import Case, follow
 
 TINY = """
@@ -169,11 +168,3 @@ def test_the_page(tmp_path):
     assert set(report.tables) == {"claims", "ends", "homogeneous", "unequal"}
     assert len(report.tables["ends"]) == 6
     assert report.headline[1].startswith("Of 6 claims ")
-
-
-def test_the_shipped_scene_is_what_its_keys_say_by_default():
-    shown = load_chart(shipped()["two_blocks"])
-    default = type(shown)(chart="two_blocks")
-    assert shown.model_dump(exclude={"about", "minutes", "title"}) == default.model_dump(
-        exclude={"about", "minutes", "title"}
-    )

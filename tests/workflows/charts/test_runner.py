@@ -139,6 +139,12 @@ def test_what_ships_explains_its_keys(name):
         assert {line.split(" = ")[0] for line in lines} == set(type(gallery.load_chart(file)).model_fields)
 
 
+@pytest.mark.parametrize("name", ["one_block", "two_blocks"])
+def test_a_scene_of_the_field_is_what_its_keys_say_by_default(name):
+    shown, other = gallery.load_chart(shipped()[name]), {"about", "minutes", "title"}
+    assert shown.model_dump(exclude=other) == type(shown)(chart=name).model_dump(exclude=other)
+
+
 @pytest.mark.parametrize(
     ("name", "extent"),
     [
