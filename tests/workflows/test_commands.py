@@ -446,7 +446,7 @@ def test_a_run_without_a_report(here, small_scene, dataset, tmp_path, monkeypatc
 def test_the_status_of_a_run_that_goes_on(dataset, tmp_path, capsys):
     """A lock file as a driver leaves it: this process."""
     copy = shutil.copytree(dataset, tmp_path / "copy")
-    cost = sum(batch.cost for batch, _ in open_dataset(copy).tasks)
+    cost = sum(batch.cost for batch in open_dataset(copy).tasks)
     pace = Pace(time.time() - 10.0, 2, cost / 3, 0, 1)
     began = f"began {time.time() - 15.0}"
     lines = [
@@ -474,10 +474,10 @@ def test_the_status_of_a_run_that_goes_on(dataset, tmp_path, capsys):
 def test_the_time_to_go_is_that_of_the_work_left_at_the_pace_since_the_beginning(dataset, tmp_path, monkeypatch):
     copy = shutil.copytree(dataset, tmp_path / "copy")
     monkeypatch.setattr("stickslip.pipeline.dataset.status.time", SimpleNamespace(time=lambda: 1010.0))
-    cost = sum(batch.cost for batch, _ in open_dataset(copy).tasks)
+    cost = sum(batch.cost for batch in open_dataset(copy).tasks)
     looked_at = open_dataset(copy)
     # of four parts one is done, half of it before
-    looked_at.tasks.append((SimpleNamespace(name="one more", cost=3.0 * cost, members=()), None))
+    looked_at.tasks.append(SimpleNamespace(name="one more", cost=3.0 * cost, members=()))
     pace = Pace(1000.0, 2, 0.5 * cost, -1, 1)  # -1: a shard ago
     (copy / ".lock").write_text(f"process {os.getpid()} on {socket.gethostname()}\nbegan 990.0\n{pace.line}\n")
     found = status(looked_at.again())
