@@ -15,7 +15,6 @@ from stickslip.pipeline.dataset.schema import is_of_scene, schema_of
 from stickslip.pipeline.dataset.sound import check_counts, told_of, wrong_columns
 from stickslip.pipeline.errors import SceneError, StoreError, printable
 from stickslip.pipeline.own.files import ChangedError
-from stickslip.pipeline.own.function import look_again
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.manifest import read_shards
 from stickslip.pipeline.places.place import DATA, PACKAGE, TEMPORARY, Where
@@ -39,7 +38,7 @@ def verify(path: Where | Opened) -> list[str]:
     problems = []
     for function in opened.scene.own_functions if isinstance(place, Directory) else ():
         try:
-            look_again(replace(function, at=str(Path(str(place)).resolve())))
+            replace(function, at=str(Path(str(place)).resolve())).look_again()
         except ChangedError as error:
             problems.append(str(error))
         except SceneError:  # data that were moved are complete without it

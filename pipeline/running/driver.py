@@ -41,8 +41,8 @@ from stickslip.pipeline.running.worker import (
     load_kernels,
     row,
 )
-from stickslip.pipeline.scene import systems
 from stickslip.pipeline.scene.scene import Scene
+from stickslip.pipeline.scene.systems import read_measured
 from stickslip.sim.numerics.session import numpy_defaults
 
 log = logging.getLogger(__name__)
@@ -146,9 +146,9 @@ def _look_at_origins(firsts: Sequence[Member], functions: Iterable[OwnFunction])
     """
     for origin in {member.source.origin for member in firsts} | set(functions):
         if origin is not None:
-            systems.look_again(origin)
+            origin.look_again()
     for series in {value for member in firsts for value in member.series}:
-        systems.read_measured(series)
+        read_measured(series)
 
 
 def _check(scene: Scene, workers: int, scheduler: Scheduling, yes: bool) -> None:

@@ -90,6 +90,10 @@ class SystemFile:
         number = self.facts.parameters.get(REALISATION)
         return None if number is None else int(number)
 
+    def look_again(self) -> None:
+        """See that it is as it was when the scene was read; raises as `read`."""
+        read(self)
+
     def matrix(self, draw: int) -> int:
         """The number of a draw of what the file leaves open: files of one realisation share it, from version 3 on.
 
@@ -166,17 +170,6 @@ def _digest(system: _Content, others: Mapping[str, _Content]) -> str:
     contents = {"stiffness": system, **others}
     words = [f"{array} {content.variable} {digest(content.bytes)}" for array, content in sorted(contents.items())]
     return digest("\n".join(words).encode())
-
-
-def look_again(origin: SystemFile | OwnFunction) -> None:
-    """See that a file or a function of the user's own is as it was when the scene was read.
-
-    Raises `SceneError` if it is gone, or another.
-    """
-    if isinstance(origin, SystemFile):
-        read(origin)
-    else:
-        own.look_again(origin)
 
 
 def _arrays(system: _Content, others: Mapping[str, _Content], is_graph: bool) -> dict[str, Any]:
