@@ -288,7 +288,7 @@ def test_members_that_are_run_the_same_way_are_found_together(scene, rng):
     for _ in range(20):
         first, last = sorted(rng.integers(0, len(members) + 1, 2).tolist())
         for some in (members[first:last], members.at(rng.permutation(len(members))[: last - first].tolist())):
-            parts = some.by_variant()
+            parts = [*some.by_variant()]
             assert sorted(name for part in parts for name in part.ids()) == sorted(some.ids())
             for part in parts:
                 assert len({(one.n, one.method, one.change, one.cost) for one in part}) == 1
