@@ -557,9 +557,10 @@ class Scene(StrictTable):
         n_copies = Counter[str]()
         for name, facts in sorted(files.items(), key=lambda file: (file[1].n, file[0])):
             others = tuple(OtherFile(array, paths[file], word) for array, (file, word) in facts.others.items())
-            about = name, facts.sha256, facts.version, is_graph, n_copies[facts.sha256], facts, paths[name], others
-            sources.append((facts.n, SystemFile(*about)))
-            n_copies[facts.sha256] += 1
+            sha256, copy = facts.sha256, n_copies[facts.sha256]
+            file = SystemFile(name, sha256, facts.version, is_graph, copy, facts, paths[name], others)
+            sources.append((facts.n, file))
+            n_copies[sha256] += 1
         return sources
 
     @property
