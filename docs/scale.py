@@ -43,11 +43,11 @@ def plan(n_members: int) -> None:
     source = (Path(__file__).parent / "scale.toml").read_text()
     scene = parse_scene(source.replace("matrices = 5000", f"matrices = {n_members // 2}").encode())
     started = time.process_time()
-    packed = [batch for batch, _ in pack.tasks(scene)]
+    packed = pack.tasks(scene)
     seconds = time.process_time() - started
     del packed
     tracemalloc.start()
-    packed = [batch for batch, _ in pack.tasks(scene.changed())]  # which has not kept its members yet
+    packed = pack.tasks(scene.changed())  # which has not kept its members yet
     memory = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()
     cost = sum(batch.cost for batch in packed)

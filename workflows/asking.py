@@ -73,7 +73,7 @@ class Asking:
         with ExitStack() as stack:
             executor = self._executor(stack, opened, study)
             pool = stack.enter_context(ThreadPoolExecutor(max(len(tasks), 1)))
-            children = [stack.enter_context(Child(own_questions.answer, shows_errors=True)) for _ in tasks]
+            children = [stack.enter_context(Child(shows_errors=True)) for _ in tasks]
             own = [pool.submit(own_questions.put, *pair) for pair in zip(children, tasks, strict=True)]
             prepare()
             remember(opened, study)

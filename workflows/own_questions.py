@@ -69,7 +69,7 @@ def check(scene: Scene, folder: Path, name: str) -> None:
         own.resolve(task.name, _place(task), f"{name}: {_KEY}: {task.name}")
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(max(len(loading), 1)))
-        children = [stack.enter_context(Child(answer)) for _ in loading]
+        children = [stack.enter_context(Child()) for _ in loading]
         answers = list(pool.map(lambda child, task: put(child, task, LONGEST_TRIAL), children, loading))
     problems = [f"{name}: {_KEY}: {entry.key}: {entry.problem}" for entry in answers if entry.problem]
     if problems:
@@ -83,7 +83,7 @@ def put(child: Child, task: Task, longest: float | None = None) -> Answered:
     longest = LONGEST if longest is None else longest
     with child.within(longest) as is_late:
         try:
-            answered: Answered = child(task)
+            answered = child(answer, task)
         except ChildDied as death:
             how = "got none" if is_late.is_set() else f"its process ended ({death})"
             answered = Answered(

@@ -21,11 +21,11 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from stickslip.pipeline.dataset.schema import in_units, schema_of
-from stickslip.pipeline.dataset.sound import Sound, fault_of_design, fault_of_file, fault_of_members
+from stickslip.pipeline.dataset.sound import Sound, check_file, check_members, told_of
 from stickslip.pipeline.design.design import Coordinates, Design
 from stickslip.pipeline.ensemble.numbering import Numbering
-from stickslip.pipeline.ensemble.pack import PlanError, Task, number_of, tasks
-from stickslip.pipeline.errors import QueryError, SceneError, StoreError, printable, shortened
+from stickslip.pipeline.ensemble.pack import Batch, PlanError, number_of, tasks
+from stickslip.pipeline.errors import QueryError, SceneError, StoreError, shortened
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.manifest import DamagedManifest, Manifest, read_manifest, read_shards
@@ -59,7 +59,7 @@ class Opened:
         return {"place": self.place, "scene": self.scene, "manifest": self.manifest}
 
     @cached_property
-    def tasks(self) -> list[Task]:
+    def tasks(self) -> list[Batch]:
         """The shards that it consists of, done or not.
 
         Raises `DamagedManifest` if the manifest's packing is not of the scene's members.
@@ -75,7 +75,7 @@ class Opened:
         """Where the members of some shards stand in the design, in order."""
         numbering, coordinates = numbering_of(self.tasks), []
         for name in shards:
-            batch, _ = self.tasks[number_of(name)]
+            batch = self.tasks[number_of(name)]
             assert batch.numbering is not None
             coordinates.append(numbering.of(numbering.here(batch.numbering, batch.members.places)))
         return Coordinates.joined(coordinates)
@@ -140,35 +140,37 @@ class Opened:
         names = sorted(listed) if shards is None else shards
         unknown = next((name for name in names if name not in listed), None)
         if unknown is not None:
-            raise StoreError(f"{self._file(unknown)}: not in the manifest any more; rerun the scene to rebuild it")
+            raise StoreError(f"{self.file(unknown)}: not in the manifest any more; rerun the scene to rebuild it")
         with reading(self.place):
             for name, content, problem in read_shards(self.place, {name: listed[name] for name in names}):
                 if problem and read_manifest(self.place).shards.get(name) != listed[name]:
                     raise StoreError(
-                        f"{self._file(name)}: expected the shard that was listed when the dataset was opened, got"
+                        f"{self.file(name)}: expected the shard that was listed when the dataset was opened, got"
                         " what a run has changed since; rerun the command"
                     )
                 if problem:
-                    raise StoreError(f"{self._file(name)}: {problem}; rerun the scene to rebuild it")
-                yield name, self._table(name, content, columns)
+                    raise StoreError(f"{self.file(name)}: {problem}; rerun the scene to rebuild it")
+                yield name, self.read(name, content, columns)
 
-    def _file(self, name: str) -> str:
+    def file(self, name: str) -> str:
         """A shard as messages show it."""
         return self.place.named(f"{DATA}/{name}")
 
-    def _table(self, name: str, content: bytes, columns: Sequence[str]) -> pa.Table:
-        """Some columns of a shard; null where data of an earlier version lack them."""
+    def read(self, name: str, content: bytes, columns: Sequence[str]) -> pa.Table:
+        """Some columns of a shard; null where data of an earlier version lack them.
+
+        Raises `StoreError` if what it holds is not what this program writes of the scene.
+        """
         shard = self.manifest.shards[name]
         known = shard.sha256, shard.rows, self.manifest.scene_hash
-        problem = "" if known in _sound else fault_of_file(content, self.schema, shard.rows)
-        if not problem:
-            _sound.add(known)
+        with told_of(self.file(name)):
+            if known not in _sound:
+                check_file(content, self.schema, shard.rows)
+                _sound.add(known)
             with pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True) as file:
                 # a thread of Arrow's may outlive its library, and end the process
                 table = file.read([*dict.fromkeys([*columns, "n", "outcome"])], use_threads=False)
-            problem = self.sound.fault(table)
-        if problem:
-            raise StoreError(f"{self._file(name)}: {printable(problem)}; {NOT_OURS}")
+            self.sound.check(table)
         fields = [self.schema.field(column) for column in columns]
         there = set(table.column_names)
         arrays = [table[field.name] if field.name in there else pa.nulls(len(table), field.type) for field in fields]
@@ -203,10 +205,9 @@ class Opened:
 
         Raises `StoreError` if they are not.
         """
-        batch, _ = self.tasks[number_of(name)]
-        problem = fault_of_members(table, batch.members, batch.coordinates)
-        if problem:
-            raise StoreError(f"{self._file(name)}: {printable(problem)}; {NOT_OURS}")
+        batch = self.tasks[number_of(name)]
+        with told_of(self.file(name)):
+            check_members(table, batch.members, batch.coordinates)
 
     @property
     def lost(self) -> list[str]:
@@ -228,9 +229,6 @@ class Opened:
             vars(again)["tasks"] = self.tasks
         return again
 
-
-#: What to do about a shard that its manifest knows and that cannot be.
-NOT_OURS = "this program did not write it so: remove it, and rerun the scene to rebuild it"
 
 #: The shards of which this process has checked the head: sha256, number of rows, and hash of the scene.
 _sound: set[tuple[str, int, str]] = set()
@@ -291,7 +289,7 @@ def stored_scene(place: Place) -> Scene:
     return parse_scene(source, file)
 
 
-def planned(place: Place, scene: Scene, manifest: Manifest) -> list[Task]:
+def planned(place: Place, scene: Scene, manifest: Manifest) -> list[Batch]:
     """The shards that a dataset of a scene consists of, done or not.
 
     Raises `DamagedManifest` if the manifest's packing is not of the scene's members.
@@ -303,15 +301,18 @@ def planned(place: Place, scene: Scene, manifest: Manifest) -> list[Task]:
             f"{place.named(MANIFEST)}: expected the packing of the scene's members, got {error}; use the "
             f"version of stickslip that began it, or choose another directory"
         ) from None
-    if problem := fault_of_design(manifest.design, numbering_of(plan).design):
-        raise DamagedManifest(f"{place.named(MANIFEST)}: {problem}; use the version of stickslip that began it")
+    if manifest.design not in (None, numbering_of(plan).design.as_json()):  # data of an earlier version have none
+        raise DamagedManifest(
+            f"{place.named(MANIFEST)}: expected the design of its scene, got another; use the version of stickslip"
+            " that began it"
+        )
     return plan
 
 
-def numbering_of(plan: Sequence[Task]) -> Numbering:
+def numbering_of(plan: Sequence[Batch]) -> Numbering:
     """How the members of shards are numbered, by the last scene that they grew to."""
-    assert plan[-1][0].numbering is not None
-    return plan[-1][0].numbering
+    assert plan[-1].numbering is not None
+    return plan[-1].numbering
 
 
 def dataset_scene(path: Where | Opened) -> Scene:
@@ -327,14 +328,12 @@ def rows_that_failed(opened: Opened, shards: Sequence[str]) -> list[tuple[str, s
 
 @contextlib.contextmanager
 def reading(place: Place) -> Iterator[None]:
-    """Turn the errors of a damaged or missing shard into a `StoreError` that says what to do."""
+    """Turn the errors of a shard that cannot be fetched into a `StoreError` that says what to do."""
     try:
         yield
-    except (OSError, pa.ArrowInvalid) as error:  # a missing file, a page with a wrong checksum, a truncated file
-        if isinstance(error, pa.ArrowInvalid) and "Parquet" not in str(error):
-            raise
+    except OSError as error:
         remedy = "" if isinstance(place, Directory) else f"{place.remedy(error)}, or "
-        words = shortened(str(error).partition(" Detail: Python exception")[0], 400)  # of Arrow: a traceback follows
+        words = shortened(str(error), 400)
         raise StoreError(
             f"{place}: a shard cannot be read ({words}); {remedy}rerun the scene to rebuild it"
         ) from error

@@ -29,8 +29,12 @@ _PARTS = {_VALUES: (5, _STRUCT), _DICTIONARY: (7, _STRUCT)}
 _ENCODINGS = (0, 2, 3, 8, 9)
 
 
-def fault_of_pages(content: bytes, column: pq.ColumnChunkMetaData, n_rows: int) -> str:
-    """How the pages of a column differ from what the footer says, or this program writes; "" if they do not.
+class UnsoundError(ValueError):
+    """What a shard holds is not what this program writes of its scene."""
+
+
+def check_pages(content: bytes, column: pq.ColumnChunkMetaData, n_rows: int) -> None:
+    """Raise `UnsoundError` if the pages of a column differ from what the footer says, or this program writes.
 
     Parameters
     ----------
@@ -45,14 +49,13 @@ def fault_of_pages(content: bytes, column: pq.ColumnChunkMetaData, n_rows: int) 
     try:
         n_values, n_bytes = _sizes(content, column)
     except (IndexError, KeyError, ValueError):
-        return f"{name}: expected pages of known kinds up to the end of the column, got others"
+        raise UnsoundError(f"{name}: expected pages of known kinds up to the end of the column, got others") from None
     stated = column.num_values, column.total_uncompressed_size
     if (n_values, n_bytes) != stated or not 0 <= n_rows <= n_values:
-        return (
+        raise UnsoundError(
             f"{name}: expected {stated[0]} values in {stated[1]} bytes for {n_rows} rows, as its footer says, got"
             f" {n_values} in {n_bytes}"
         )
-    return ""
 
 
 def _sizes(content: bytes, column: pq.ColumnChunkMetaData) -> tuple[int, int]:

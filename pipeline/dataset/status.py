@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from stickslip.pipeline.dataset.opened import Opened, open_dataset, rows_that_failed
-from stickslip.pipeline.ensemble.pack import Task, number_of
+from stickslip.pipeline.ensemble.pack import Batch, number_of
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.manifest import Shard
 from stickslip.pipeline.places.place import LOCK, Lock, Where
@@ -32,10 +32,10 @@ class Tally:
     cost_done: float
 
     @classmethod
-    def of(cls, tasks: Sequence[Task], shards: Mapping[str, Shard]) -> Tally:
+    def of(cls, tasks: Sequence[Batch], shards: Mapping[str, Shard]) -> Tally:
         """Count those of the shards to be that are done."""
-        costs = {number: batch.cost for number, (batch, _) in enumerate(tasks)}
-        n_members = sum(len(batch.members) for batch, _ in tasks)
+        costs = {number: batch.cost for number, batch in enumerate(tasks)}
+        n_members = sum(len(batch.members) for batch in tasks)
         tally = cls(n_members, 0, {}, len(costs), 0, 0, sum(costs.values()), 0.0)
         for name, shard in shards.items():
             tally = tally.plus(shard, costs.get(number_of(name), 0.0))
@@ -131,13 +131,8 @@ def status(path: Where | Opened) -> Status:
         If there is no readable dataset, or a shard with failed members is not what was written.
     """
     opened = open_dataset(path)
-    return counted(opened, opened.tasks)
-
-
-def counted(opened: Opened, tasks: Sequence[Task]) -> Status:
-    """The status of a dataset that consists of the shards of `tasks`; raises as `status`."""
     place, shards = opened.place, opened.manifest.shards
-    tally = Tally.of(tasks, shards)
+    tally = Tally.of(opened.tasks, shards)
     # after the manifest was read: a shard is there before it is listed
     lost = opened.lost
     whole_shards = [name for name, shard in sorted(shards.items()) if shard.n_failed and name not in lost]

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from stickslip.pipeline.dataset.opened import NOT_OURS, Opened, open_dataset, reading
+from stickslip.pipeline.dataset.opened import Opened, open_dataset, reading
+from stickslip.pipeline.dataset.pages import UnsoundError
 from stickslip.pipeline.dataset.schema import is_of_scene, schema_of
-from stickslip.pipeline.dataset.sound import DAMAGE, fault_of_counts, fault_of_file, fault_of_members, wrong_columns
-from stickslip.pipeline.ensemble.pack import Batch
-from stickslip.pipeline.errors import SceneError, printable, shortened
+from stickslip.pipeline.dataset.sound import check_counts, told_of, wrong_columns
+from stickslip.pipeline.errors import SceneError, StoreError, printable
 from stickslip.pipeline.own.files import ChangedError
-from stickslip.pipeline.own.function import look_again
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.manifest import read_shards
 from stickslip.pipeline.places.place import DATA, PACKAGE, TEMPORARY, Where
@@ -36,11 +34,11 @@ def verify(path: Where | Opened) -> list[str]:
     """
     opened = open_dataset(path)
     place, shards = opened.place, dict(sorted(opened.manifest.shards.items()))
-    expected = {batch.name: (batch, recording) for batch, recording in opened.tasks}
+    expected = {batch.name: batch for batch in opened.tasks}
     problems = []
     for function in opened.scene.own_functions if isinstance(place, Directory) else ():
         try:
-            look_again(replace(function, at=str(Path(str(place)).resolve())))
+            replace(function, at=str(Path(str(place)).resolve())).look_again()
         except ChangedError as error:
             problems.append(str(error))
         except SceneError:  # data that were moved are complete without it
@@ -52,14 +50,17 @@ def verify(path: Where | Opened) -> list[str]:
             if not problem and name not in expected:
                 problem = "not a shard of this scene"
             elif not problem:
-                batch, recording = expected[name]
-                ids = list(batch.members.ids())
+                ids = list(expected[name].members.ids())
                 entry = (shard.rows, shard.first, shard.last)
                 if entry != (len(ids), ids[0], ids[-1]):
                     problem = f"expected {len(ids)} rows, {ids[0]} to {ids[-1]}, in the manifest, got {entry}"
-                problem = problem or _content(opened, content, schema_of(recording), batch, shard.outcomes)
             if problem:
-                problems.append(printable(f"{place.named(f'{DATA}/{name}')}: {problem}"))
+                problems.append(printable(f"{opened.file(name)}: {problem}"))
+                continue
+            try:
+                _check_content(opened, name, content, schema_of(expected[name].recording))
+            except StoreError as error:
+                problems.append(str(error))
     if fault := opened.manifest.fault_of_package(place):
         problems.append(printable(f"{place.named(PACKAGE)}: {fault}; rerun the scene to rewrite it"))
     names = {f"{DATA}/{name}" for name in opened.manifest.shards}
@@ -70,21 +71,15 @@ def verify(path: Where | Opened) -> list[str]:
     ]
 
 
-def _content(opened: Opened, content: bytes, schema: pa.Schema, batch: Batch, outcomes: Mapping[str, int]) -> str:
-    """What is wrong inside a shard whose bytes are as they were written; "" if nothing is."""
-    problem = fault_of_file(content, schema, len(batch.members))
-    if problem:
-        return f"{problem}; {NOT_OURS}"
-    try:
-        # a thread of Arrow's may outlive its library, and end the process
-        table = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True).read(use_threads=False)
-    except DAMAGE as error:
-        return f"cannot be read ({shortened(str(error), 200)}); rerun the scene to rebuild it"
-    if not is_of_scene(table.schema.metadata, schema):
-        return wrong_columns(table.schema, schema)
-    problem = opened.sound.fault(table) or fault_of_members(table, batch.members, batch.coordinates)
-    problem = problem or fault_of_counts(table)
-    counted = dict(Counter(table["outcome"].to_pylist()))
-    if not problem and counted != outcomes:
-        problem = f"expected the outcomes {outcomes}, got {counted}"
-    return f"{problem}; {NOT_OURS}" if problem else ""
+def _check_content(opened: Opened, name: str, content: bytes, schema: pa.Schema) -> None:
+    """Raise `StoreError` if something is wrong inside a shard whose bytes are as they were written."""
+    table = opened.read(name, content, schema.names)
+    with told_of(opened.file(name)):
+        if not is_of_scene(pq.read_metadata(pa.BufferReader(content)).metadata, schema):
+            raise wrong_columns(table.schema, schema)
+    opened.check_members(name, table)
+    with told_of(opened.file(name)):
+        check_counts(table)
+        counted, outcomes = dict(Counter(table["outcome"].to_pylist())), opened.manifest.shards[name].outcomes
+        if counted != outcomes:
+            raise UnsoundError(f"expected the outcomes {outcomes}, got {counted}")

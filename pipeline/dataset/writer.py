@@ -15,7 +15,7 @@ from typing import Self
 from stickslip.pipeline.dataset.opened import Opened, numbering_of, planned, stored_scene
 from stickslip.pipeline.dataset.package import package_of
 from stickslip.pipeline.dataset.program import program
-from stickslip.pipeline.ensemble.pack import Task, grows, lacked, pack, tasks
+from stickslip.pipeline.ensemble.pack import Batch, grows, lacked, pack, tasks
 from stickslip.pipeline.errors import SceneError, StoreError, command, remedy
 from stickslip.pipeline.machine.signals import last_act, unbroken
 from stickslip.pipeline.places.directory import Directory
@@ -90,8 +90,9 @@ class Store:
     @property
     def opened(self) -> Opened:
         """The dataset as it stands."""
-        shards = dict(self._manifest.shards)
-        return Opened(self.place, self.scene, self._manifest.model_copy(update={"shards": shards}))
+        opened = Opened(self.place, self.scene, self._manifest.model_copy(update={"shards": self.done}))
+        vars(opened)["tasks"] = self.tasks
+        return opened
 
     def __enter__(self) -> Self:
         with _explained(self.place):
@@ -186,7 +187,7 @@ class Store:
             raise refusal from None
         self._lost = True
         manifest = self._fresh.model_copy(deep=True)
-        names = {batch.name for batch, _ in tasks(self.scene, [], manifest.packing)}
+        names = {batch.name for batch in tasks(self.scene, [], manifest.packing)}
         for commit in read_commits(self.place):
             if commit.shard in names:
                 manifest.shards[commit.shard] = commit.entry
@@ -247,7 +248,7 @@ class Store:
         ]
         return "".join(lines) + (f"; and {len(keys) - _SHOWN} keys more" if len(keys) > _SHOWN else "")
 
-    def look(self) -> tuple[list[Task], list[Task]]:
+    def look(self) -> tuple[list[Batch], list[Batch]]:
         """All shards, and those that a run would compute; the dataset is neither taken nor changed.
 
         Raises `StoreError` as on entering, if a run would be refused.
@@ -260,7 +261,7 @@ class Store:
     def _plan(self, manifest: Manifest) -> None:
         """What the shards are, and which of them are to be computed."""
         self.tasks = planned(self.place, self.scene, manifest)
-        foreign = sorted(manifest.shards.keys() - {batch.name for batch, _ in self.tasks})
+        foreign = sorted(manifest.shards.keys() - {batch.name for batch in self.tasks})
         if foreign:
             raise StoreError(
                 f"{self.place}: expected the shards of this scene, got {foreign[0]}; use the version of "
@@ -269,7 +270,7 @@ class Store:
         manifest.design = numbering_of(self.tasks).design.as_json()
         self._forget_damaged(manifest.shards)
         failed = {name for name, shard in manifest.shards.items() if self._retry_failed and shard.n_failed}
-        self.todo = [task for task in self.tasks if task[0].name not in manifest.shards or task[0].name in failed]
+        self.todo = [batch for batch in self.tasks if batch.name not in manifest.shards or batch.name in failed]
         if self.todo:
             manifest.programs = self._with_this_program(manifest)
 

@@ -87,12 +87,23 @@ class Members(Sequence[Member]):
         return Members(self.ensemble, [self._places[k] for k in which])
 
     def ids(self) -> Iterator[str]:
-        """The `member_id` of each."""
-        return self.ensemble.ids(self._places)
+        """The `member_id` of each; the runs of a matrix are handled together."""
+        ensemble = self.ensemble
+        n_variants, a_matrix = ensemble.n_variants, ensemble.a_matrix
+        for of_matrix, group in groupby(self._places, lambda k: k // a_matrix):
+            system = ensemble.of_system(*divmod(of_matrix, ensemble.n_matrices))
+            for k in group:
+                yield system + ensemble.of_run(*divmod(k - of_matrix * a_matrix, n_variants))
 
     def costs(self) -> Iterator[float]:
-        """The `cost` of each."""
-        return self.ensemble.costs(self._places)
+        """The `cost` of each: that of its source and its variant at the first point."""
+        ensemble = self.ensemble
+        for source, group in groupby(self._places, lambda k: k // ensemble.a_source):
+            of_variant: dict[int, float] = {}
+            for variant in (k % ensemble.n_variants for k in group):
+                if variant not in of_variant:
+                    of_variant[variant] = ensemble.kind(source, 0, variant).cost
+                yield of_variant[variant]
 
     @property
     def places(self) -> np.ndarray:
@@ -101,7 +112,13 @@ class Members(Sequence[Member]):
 
     def rows(self) -> Iterator[tuple[dict[str, Any], str, int, int | None]]:
         """The `row` of each, as one of its kind has it, and what is its own: name, matrix and draw of the start."""
-        return self.ensemble.rows(self._places)
+        kinds: dict[tuple[int, int, int], dict[str, Any]] = {}
+        for k, name in zip(self._places, self.ids(), strict=True):
+            source, matrix, place, variant = self.ensemble.split(k)
+            point, draw = self.ensemble.at(place)
+            if (source, point, variant) not in kinds:
+                kinds[source, point, variant] = self.ensemble.kind(source, point, variant).row()
+            yield kinds[source, point, variant], name, self.ensemble.number_of(source, matrix), draw
 
     def firsts(self) -> list[Member]:
         """The first member of each pair of an origin of systems and an engine."""
@@ -110,9 +127,23 @@ class Members(Sequence[Member]):
             firsts.setdefault((member.source.origin, member.engine), member)
         return list(firsts.values())
 
-    def by_variant(self) -> list[Members]:
-        """Those that are run the same way, of systems from one source, together: they have one cost."""
-        return [Members(self.ensemble, places) for places in self.ensemble.by_variant(self._places)]
+    def by_variant(self) -> Iterator[Members]:
+        """Those that are run the same way, of systems from one source, together: they have one cost.
+
+        Found without going through all of a range.
+        """
+        ensemble, places = self.ensemble, self._places
+        n_variants, a_source = ensemble.n_variants, ensemble.a_source
+        if not isinstance(places, range) or places.step != 1:
+            groups: dict[tuple[int, int], list[int]] = {}
+            for k in places:
+                groups.setdefault((k // a_source, k % n_variants), []).append(k)
+            yield from (Members(ensemble, group) for group in groups.values())
+            return
+        for source in range(places.start // a_source, -(-places.stop // a_source)):
+            begin, end = max(places.start, source * a_source), min(places.stop, (source + 1) * a_source)
+            for k in range(begin, min(end, begin + n_variants)):
+                yield Members(ensemble, range(k, end, n_variants))
 
 
 @lru_cache(maxsize=2)
@@ -161,56 +192,17 @@ class Ensemble:
     def member(self, k: int) -> Member:
         source, matrix, place, variant = self.split(k)
         point, draw = self.at(place)
-        kind, origin = self.kind(source, point, variant), self.sources[source][1]
-        name = self._of_system(source, matrix) + self.of_run(place, variant)
-        system_source = kind.source._replace(matrix=matrix if origin is None else origin.matrix(matrix))
+        kind, name = self.kind(source, point, variant), self.of_system(source, matrix) + self.of_run(place, variant)
+        system_source = kind.source._replace(matrix=self.number_of(source, matrix))
         begin = kind.begin if draw is None else kind.begin._replace(draw=draw)
         return replace(kind, member_id=name, source=system_source, begin=begin)
 
-    def ids(self, numbers: Sequence[int]) -> Iterator[str]:
-        """The `member_id` of each; the runs of a matrix are handled together."""
-        n_variants, a_matrix = self.n_variants, self.a_matrix
-        for of_matrix, group in groupby(numbers, lambda k: k // a_matrix):
-            system = self._of_system(*divmod(of_matrix, self.n_matrices))
-            for k in group:
-                yield system + self.of_run(*divmod(k - of_matrix * a_matrix, n_variants))
+    def number_of(self, source: int, matrix: int) -> int:
+        """The number of a system that a member says, by its source and its draw."""
+        origin = self.sources[source][1]
+        return matrix if origin is None else origin.matrix(matrix)
 
-    def costs(self, numbers: Sequence[int]) -> Iterator[float]:
-        """The `cost` of each: that of its source and its variant at the first point."""
-        for source, group in groupby(numbers, lambda k: k // self.a_source):
-            of_variant: dict[int, float] = {}
-            for variant in (k % self.n_variants for k in group):
-                if variant not in of_variant:
-                    of_variant[variant] = self.kind(source, 0, variant).cost
-                yield of_variant[variant]
-
-    def rows(self, numbers: Sequence[int]) -> Iterator[tuple[dict[str, Any], str, int, int | None]]:
-        """The `row` of the kind of each, with its name, its matrix and the draw of its start."""
-        kinds: dict[tuple[int, int, int], dict[str, Any]] = {}
-        for k, name in zip(numbers, self.ids(numbers), strict=True):
-            source, matrix, place, variant = self.split(k)
-            point, draw = self.at(place)
-            if (source, point, variant) not in kinds:
-                kinds[source, point, variant] = self.kind(source, point, variant).row()
-            origin = self.sources[source][1]
-            number = matrix if origin is None else origin.matrix(matrix)
-            yield kinds[source, point, variant], name, number, draw
-
-    def by_variant(self, numbers: Sequence[int]) -> Iterator[Sequence[int]]:
-        """The numbers of those with one source and one variant together, without going through all of a range."""
-        n_variants, a_source = self.n_variants, self.a_source
-        if not isinstance(numbers, range) or numbers.step != 1:
-            groups: dict[tuple[int, int], list[int]] = {}
-            for k in numbers:
-                groups.setdefault((k // a_source, k % n_variants), []).append(k)
-            yield from groups.values()
-            return
-        for source in range(numbers.start // a_source, -(-numbers.stop // a_source)):
-            begin, end = max(numbers.start, source * a_source), min(numbers.stop, (source + 1) * a_source)
-            for k in range(begin, min(end, begin + n_variants)):
-                yield range(k, end, n_variants)
-
-    def _of_system(self, source: int, matrix: int) -> str:
+    def of_system(self, source: int, matrix: int) -> str:
         """The first part of a member's name."""
         n, origin = self.sources[source]
         return f"n{n}-{'' if origin is None else origin.word + '-'}m{matrix:03d}"
@@ -243,7 +235,7 @@ class Ensemble:
     @cached_property
     def _of_files(self) -> tuple[Axis, ...]:
         """An axis for each number that the files carry, but that of their realisations."""
-        parameters = [dict(origin.parameters) for _, origin in self.sources if isinstance(origin, SystemFile)]
+        parameters = [origin.facts.parameters for _, origin in self.sources if isinstance(origin, SystemFile)]
         names = [name for name in (parameters[0] if parameters else ()) if name != REALISATION]
         return tuple(
             Axis((name,), tuple((x,) for x in sorted({numbers[name] for numbers in parameters}))) for name in names
@@ -251,13 +243,15 @@ class Ensemble:
 
     def _of_file(self, origin: SystemFile | SystemFunction | None) -> tuple[int, ...]:
         """The place of a file on each of its axes."""
-        parameters = dict(origin.parameters) if isinstance(origin, SystemFile) else {}
+        parameters = origin.facts.parameters if isinstance(origin, SystemFile) else {}
         return tuple(axis.rows.index((parameters[axis.keys[0]],)) for axis in self._of_files)
 
     @property
     def _constants(self) -> Iterator[tuple[str, Value]]:
         """The keys that are not swept, and what files have in their place."""
-        arrays = {name for _, origin in self.sources if isinstance(origin, SystemFile) for name in origin.arrays}
+        arrays = {
+            name for _, origin in self.sources if isinstance(origin, SystemFile) for name in origin.facts.arrays
+        }
         for key, value in self.scene.quantities.items():
             if key in arrays and value is None:
                 yield key, FILE
@@ -370,7 +364,7 @@ class Ensemble:
     @property
     def _words(self) -> tuple[Sequence[Hashable], ...]:
         """What stands for each source, point and variant in the names of members."""
-        sources = [self._of_system(source, 0) for source in range(len(self.sources))]
+        sources = [self.of_system(source, 0) for source in range(len(self.sources))]
         return sources, [point.words for point in self.points], [variant.words for variant in self.variants]
 
     def at(self, place: int) -> tuple[int, int | None]:
@@ -427,7 +421,7 @@ class Ensemble:
             w0 = belt
         values_here = {name: _multiplied(value, values_here) for name, value in values_here.items()}
         parameters = tuple((name, values_here.pop(name)) for name in scene.system.parameters or ())
-        parameters += origin.parameters if isinstance(origin, SystemFile) else ()
+        parameters += tuple(origin.facts.parameters.items()) if isinstance(origin, SystemFile) else ()
         if scene.system.weakening is not None:
             values_here["weakening_curve"] = scene.system.weakening.curve
         if not scene.system.back_slip:
@@ -477,10 +471,10 @@ def _of_file(origin: SystemFile | SystemFunction | None) -> dict[str, Any]:
     """What a file gives in place of the scene."""
     if not isinstance(origin, SystemFile):
         return {}
-    of_file: dict[str, Any] = {name: FILE for name in OF_BLOCKS if name in origin.arrays}
+    of_file: dict[str, Any] = {name: FILE for name in OF_BLOCKS if name in origin.facts.arrays}
     if not origin.is_graph:
-        of_file["kappa"] = origin.scale
-    return of_file | ({"rho": None} if "damping" in origin.arrays else {})
+        of_file["kappa"] = origin.facts.scale
+    return of_file | ({"rho": None} if "damping" in origin.facts.arrays else {})
 
 
 def _variants(scene: Scene) -> Iterator[_Variant]:

@@ -32,7 +32,7 @@ class Batch:
 
     number: int  #: its place among the dataset's shards
     members: Members
-    scene_hash: str
+    recording: Recording  #: what to keep of them
     #: Of all members of their scene; in another process there are their coordinates alone.
     numbering: Numbering | None = None
 
@@ -47,7 +47,7 @@ class Batch:
     @cached_property
     def name(self) -> str:
         """The name of the shard, which tells what it holds."""
-        content = "\n".join([self.scene_hash, *self.members.ids()])
+        content = "\n".join([self.recording.scene_hash, *self.members.ids()])
         return f"shard-{self.number:05d}-{hashlib.sha256(content.encode()).hexdigest()[:12]}.parquet"
 
     @cached_property
@@ -78,15 +78,11 @@ def _sizes(members: Members) -> list[int]:
     return sizes
 
 
-#: A shard to be: its members, and what to keep of them.
-Task = tuple[Batch, Recording]
-
-
 class PlanError(ValueError):
     """The packing does not fit the members of the scene."""
 
 
-def tasks(scene: Scene, earlier: Sequence[str] = (), packing: Sequence[Sequence[int]] | None = None) -> list[Task]:
+def tasks(scene: Scene, earlier: Sequence[str] = (), packing: Sequence[Sequence[int]] | None = None) -> list[Batch]:
     """The shards of a dataset, in order.
 
     Raises `PlanError` if the numbers are not those of the scenes' members, or an earlier scene cannot be read.
@@ -103,7 +99,7 @@ def tasks(scene: Scene, earlier: Sequence[str] = (), packing: Sequence[Sequence[
         scenes = [*(parse_scene(source.encode(), folder=scene.folder) for source in earlier), scene]
     except SceneError as error:
         raise PlanError(str(error)) from error
-    planned: list[Task] = []
+    planned: list[Batch] = []
     packing = [pack(scene, None)] if packing is None else packing
     for stage, numbering, sizes in zip(scenes, numberings(scenes), packing, strict=True):
         new = expand(stage).at(numbering.added.tolist()) if numbering.before else expand(stage)
@@ -111,8 +107,7 @@ def tasks(scene: Scene, earlier: Sequence[str] = (), packing: Sequence[Sequence[
             raise PlanError(f"expected shards of {len(new)} members together, got {sum(sizes)}")
         recording, start = stage.recording, 0
         for size in sizes:
-            batch = Batch(len(planned), new[start : start + size], recording.scene_hash, numbering)
-            planned.append((batch, recording))
+            planned.append(Batch(len(planned), new[start : start + size], recording, numbering))
             start += size
     return planned
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import importlib
 import os
 import pickle
 import queue
@@ -15,7 +14,7 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, TypeVar
 
 from stickslip.pipeline.machine.scratch import scratch
 from stickslip.pipeline.machine.signals import blocked
@@ -224,28 +223,29 @@ def forked_workers() -> Iterator[None]:
 _FIRST_SECONDS, _LAST_SECONDS = 60.0, 10.0
 
 
+_T = TypeVar("_T")
+
+
 class ChildDied(RuntimeError):
     """A child ended instead of answering; the message says how: an exit code or a signal."""
 
 
 class Child:
-    """A function that is called in a process of its own, with one thread; a context manager.
+    """A process of its own, with one thread, in which functions are called; a context manager.
 
     The process ignores Ctrl-C, which its parent handles, and outlives neither the with-block nor the parent. Whatever
     else it prints goes to its standard error.
 
     Parameters
     ----------
-    function : callable
-        Named at the top of a module. It is called with one argument at a time, which is pickled, as is its result.
     shows_errors : bool
         Whether what the process writes to its standard error is seen here.
     """
 
-    def __init__(self, function: Callable[[Any], Any], shows_errors: bool = False) -> None:
+    def __init__(self, shows_errors: bool = False) -> None:
         self._process = subprocess.Popen(
             # -P: it is not to look into the working directory first
-            [sys.executable, "-P", "-c", _SERVE, function.__module__, function.__qualname__],
+            [sys.executable, "-P", "-c", _SERVE],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=None if shows_errors else subprocess.DEVNULL,
@@ -265,8 +265,8 @@ class Child:
                 assert pipe is not None
                 pipe.close()
 
-    def __call__(self, argument: object) -> Any:
-        """The function's result for an argument.
+    def __call__(self, function: Callable[..., _T], *arguments: Any) -> _T:
+        """What a function, named at the top of a module, gives of some arguments; all are pickled.
 
         Raises `ChildDied` if the process ends first, as it does when the function raises, or does not start.
         """
@@ -279,9 +279,10 @@ class Child:
                 if not starting.poll(1000.0 * _FIRST_SECONDS):
                     self.kill()
                 self._has_started = pickle.load(self._process.stdout)
-            pickle.dump(argument, self._process.stdin)
+            pickle.dump((function, arguments), self._process.stdin)
             self._process.stdin.flush()
-            return pickle.load(self._process.stdout)
+            result: _T = pickle.load(self._process.stdout)
+            return result
         # perhaps in the middle of an answer, or it is of a class that only the process knows
         except (OSError, EOFError, pickle.UnpicklingError, ImportError, AttributeError) as error:
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -319,20 +320,19 @@ def _environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
 
 
-_SERVE = "import sys; from stickslip.pipeline.machine.processes import serve; serve(*sys.argv[1:])"
+_SERVE = "from stickslip.pipeline.machine.processes import serve; serve()"
 
 
-def serve(module: str, name: str) -> None:
-    """Be a child: call a function with each argument that comes in, until no more can come."""
-    arguments, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+def serve() -> None:
+    """Be a child: call each function that comes in with its arguments, until no more can come."""
+    reading, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     questions: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    function = getattr(importlib.import_module(module), name)
 
     def listen() -> None:
         try:
             while True:
-                questions.put(pickle.load(arguments))
+                questions.put(pickle.load(reading))
         except EOFError:  # the parent is dead, or has no more use for this process
             pass
         finally:
@@ -343,4 +343,5 @@ def serve(module: str, name: str) -> None:
     while True:
         pickle.dump(answer, answers)
         answers.flush()
-        answer = function(questions.get())
+        function, arguments = questions.get()
+        answer = function(*arguments)

@@ -1,5 +1,5 @@
 """Functions of a user's own, `module:function`: known by a digest from when a scene is read.
 
-In `function`, `resolve` finds one, `look_again` sees that it is as it was, and `call` calls it, where code of the
-user's may run. In `trial`, `tried` calls one in children first.
+In `function`, `resolve` finds one, and `use` hands it to what calls it, where code of the user's may run. In `trial`,
+`tried` calls one in children first.
 """

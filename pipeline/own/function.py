@@ -57,6 +57,11 @@ class OwnFunction:
         """The folder of what lies beside it: the scene's, or one above it, as its copy may lie deeper."""
         return root_of(self.at, self.beside)
 
+    def look_again(self) -> None:
+        """See that its module, and what lies beside it, is as it was. Nothing is loaded; raises as `module_file`."""
+        module_file(self)
+        check_beside(self.root, self.beside, self.key)
+
 
 def resolve(name: str, folder: Path, key: str) -> OwnFunction:
     """The function `module:function` of a module beside a scene, or installed; nothing is loaded, none is `beside`.
@@ -71,12 +76,6 @@ def resolve(name: str, folder: Path, key: str) -> OwnFunction:
             f"found none; write it there as {module.replace('.', '/')}.py, or correct the name"
         )
     return OwnFunction(key, name, digest(content_of(file, key)), str(folder.resolve()))
-
-
-def look_again(function: OwnFunction) -> None:
-    """See that a module, and what lies beside it, is as it was. Nothing is loaded; raises as `module_file`."""
-    module_file(function)
-    check_beside(function.root, function.beside, function.key)
 
 
 def module_file(function: OwnFunction) -> Path:
@@ -95,11 +94,6 @@ def module_file(function: OwnFunction) -> Path:
             f"cluster, let the workers have it there; if it was changed, run the scene into another directory"
         )
     return file
-
-
-def call(function: OwnFunction, *arguments: Any, is_trial: bool = False, **by_name: Any) -> Any:
-    """What a function returns; only where code of the user's may run. Raises as `use`, and what it raises itself."""
-    return use(function, lambda target: target(*arguments, **by_name), is_trial)
 
 
 def use(function: OwnFunction, work: Callable[[Callable[..., Any]], Any], is_trial: bool = False) -> Any:

@@ -41,7 +41,7 @@ def tried(trial: Trial) -> dict[str, Any]:
     Raises `SceneError` if that goes wrong, what it gives differs, or it takes longer than `LONGEST_TRIAL`.
     """
     # what a module draws when it is loaded, or what depends on the order of a set, differs between processes
-    with ThreadPoolExecutor(1) as aside, Child(_try) as child, Child(_try) as second:
+    with ThreadPoolExecutor(1) as aside, Child() as child, Child() as second:
         answer_of_second = aside.submit(_answer, second, trial._replace(attempt=trial.elsewhere or trial.attempt), 1)
         problem, facts = _answer(child, trial, 2)
         if not problem and facts.pop("digest") != answer_of_second.result()[1].get("digest"):
@@ -51,7 +51,7 @@ def tried(trial: Trial) -> dict[str, Any]:
 
 def tried_once(trial: Trial) -> dict[str, Any]:
     """The facts of what was called in one child; as `tried`."""
-    with Child(_try) as child:
+    with Child() as child:
         return _judged(trial, *_answer(child, trial, 1))
 
 
@@ -68,19 +68,15 @@ def _answer(child: Child, trial: Trial, times: int) -> tuple[str, dict[str, Any]
     """What a child says after some calls, within the time for these."""
     try:
         if trial.ready is not None:
-            child((trial, 0))
+            child(trial.ready)
         with child.within(LONGEST_TRIAL):
-            return child((trial, times))
+            return child(_try, trial, times)
     except ChildDied as death:
         return f"expected {trial.expected} within {LONGEST_TRIAL:g} s, its process died ({death})", {}
 
 
-def _try(task: tuple[Trial, int]) -> tuple[str, dict[str, Any]]:
-    """In a child, get ready, or call some times: what is wrong with it, or else facts of what it gave and read."""
-    trial, times = task
-    if not times and trial.ready is not None:
-        trial.ready()
-        return "", {}
+def _try(trial: Trial, times: int) -> tuple[str, dict[str, Any]]:
+    """In a child, call some times: what is wrong with it, or else facts of what it gave and read."""
     audit = _Audit()
     sys.addaudithook(audit)
     answers, problem = [], ""

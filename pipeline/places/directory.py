@@ -108,19 +108,15 @@ class Directory(Place):
         with contextlib.ExitStack() as stack:
             inner = dict.fromkeys(tuple(name.split("/")[:-1]) for name in files)
             folders = {names: stack.enter_context(self._folder(names, is_made=True)) for names in inner}
-            try:
-                for name, content in files.items():
-                    *above, name_there = name.split("/")
-                    replacements.append(plain.Replacement(name_there, folders[tuple(above)], self.path / name))
-                    replacements[-1].write(content())
-                for directory, group in groupby(replacements, lambda new: new.directory):
-                    for new in group:
-                        new.put()
-                    os.fsync(directory)
-            except BaseException:
-                for new in replacements:
-                    new.give_up()
-                raise
+            for name, content in files.items():
+                *above, name_there = name.split("/")
+                new = plain.Replacement(name_there, folders[tuple(above)], self.path / name)
+                replacements.append(stack.enter_context(new))
+                new.write(content())
+            for directory, group in groupby(replacements, lambda new: new.directory):
+                for new in group:
+                    new.put()
+                os.fsync(directory)
 
     def remove(self, name: str) -> None:
         with contextlib.suppress(FileNotFoundError), self._holding(name) as (name_there, directory):

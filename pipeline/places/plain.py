@@ -174,9 +174,10 @@ def filename(path: Path) -> Iterator[None]:
 
 
 class Replacement:
-    """The new content of a file, under a name of its own until it takes the file's place.
+    """The new content of a file, under a name of its own until it takes the file's place; a context manager.
 
-    `directory` is the descriptor of the folder, which has to stay open; the content goes into `stream`.
+    `directory` is the descriptor of the folder, which has to stay open; the content goes into `stream`. What is not
+    put in place within the with-block is removed.
     """
 
     def __init__(self, name: str, directory: int, path: Path) -> None:
@@ -188,7 +189,16 @@ class Replacement:
         with filename(path):
             how = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
             descriptor = os.open(self._temporary, how, 0o666, dir_fd=directory)
-        self.stream: BinaryIO = open(descriptor, "w+b")  # noqa: SIM115  until it is in place or given up
+        self.stream: BinaryIO = open(descriptor, "w+b")  # noqa: SIM115  until the end of the with-block
+
+    def __enter__(self) -> Replacement:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with contextlib.suppress(OSError):  # of closing: what was written last finds no room
+            self.stream.close()
+        with contextlib.suppress(OSError):  # it is in place
+            os.unlink(self._temporary, dir_fd=self.directory)
 
     def write(self, content: bytes) -> None:
         """Have the content on the disk, all of it."""
@@ -207,25 +217,14 @@ class Replacement:
         with filename(self._shown):
             os.replace(self._temporary, self._name, src_dir_fd=self.directory, dst_dir_fd=self.directory)
 
-    def give_up(self) -> None:
-        """Remove the content."""
-        with contextlib.suppress(OSError):  # of closing: what was written last finds no room
-            self.stream.close()
-        with contextlib.suppress(OSError):
-            os.unlink(self._temporary, dir_fd=self.directory)
-
 
 @contextlib.contextmanager
 def replacing(file: Path, directory: int) -> Iterator[BinaryIO]:
     """A stream for the new content of a file in an open folder, which replaces the old if the with-block succeeds."""
-    new = Replacement(file.name, directory, file)
-    try:
+    with Replacement(file.name, directory, file) as new:
         yield new.stream
         new.keep()
         new.put()
-    except BaseException:
-        new.give_up()
-        raise
     os.fsync(directory)
 
 

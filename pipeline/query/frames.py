@@ -260,7 +260,7 @@ def _table(path: Where | Opened, record: str, prefix: str) -> pd.DataFrame:
 def _member_row(opened: Opened, member_id: str, columns: list[str]) -> dict[str, pa.Scalar]:
     if not isinstance(member_id, str):
         raise QueryError(f"member_id: expected the name of a member, got {member_id!r}; `members` lists them")
-    done = [batch for batch, _ in opened.tasks if batch.name in opened.manifest.shards]
+    done = [batch for batch in opened.tasks if batch.name in opened.manifest.shards]
     shard = next(([batch.name] for batch in done if member_id in batch.members.ids()), [])
     rows = opened.table([*columns, "reason"], pc.field("member_id") == member_id, shard)
     if rows.num_rows == 0:
@@ -275,23 +275,22 @@ def _member_row(opened: Opened, member_id: str, columns: list[str]) -> dict[str,
 
 def series(path: Source) -> Series:
     """t and n_stick as of `n_stick` by member_id. Failed members, which have no series, are left out."""
-    return Series(path, "t", ["t", "n_stick"], lambda row: (row("t"), row("n_stick")))
+    return Series(path, ["t", "n_stick"], lambda t, n_stick: (t, n_stick))
 
 
 def all_events(path: Source) -> Recorded[_Events]:
     """Times, blocks and modes of events, and the modes at t = 0, by member_id; empty if they are not recorded."""
-    t, block, mode, initial_mode = names = _EVENT_COLUMNS[:4]
-    return Recorded(path, t, names, lambda row: (row(t), row(block), row(mode), row(initial_mode)))
+    return Recorded(path, _EVENT_COLUMNS[:4], lambda *columns: columns)
 
 
 def ends(path: Source) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """z and w at the end by member_id; empty if they are not recorded."""
-    return Recorded(path, "z_end", ["z_end", "w_end"], lambda row: (row("z_end"), row("w_end")))
+    return Recorded(path, ["z_end", "w_end"], lambda z, w: (z, w))
 
 
 def lists(path: Source, column: str) -> Recorded[NDArray[np.float64]]:
     """A column of lists of numbers by member_id; empty if it is not recorded."""
-    return Recorded(path, column, [column], lambda row: row(column))
+    return Recorded(path, [column], lambda values: values)
 
 
 def separations(path: Source) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:
@@ -302,30 +301,25 @@ def separations(path: Source) -> Recorded[tuple[NDArray[np.float64], NDArray[np.
     shards = Shards.of(path)
     step = shards.opened.scene.record.separation
 
-    def entry(row: _Row) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def entry(distance: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         assert step is not None  # there would be no such column
-        distance: NDArray[np.float64] = row("separation")
         return step * np.arange(len(distance), dtype=np.float64), distance
 
-    return Recorded(shards, "separation", ["separation"], entry)
+    return Recorded(shards, ["separation"], entry)
 
 
 def by_threshold(path: Source) -> Recorded[dict[float, tuple[NDArray[np.float64], NDArray[np.int32]]]]:
     """t and n_stick by threshold, for further definitions of sticking, by member_id; empty without `thresholds`."""
-
-    def entry(row: _Row) -> dict[float, tuple[NDArray[np.float64], NDArray[np.int32]]]:
-        entries = row("by_threshold").values  # noqa: PD011  an Arrow scalar, no data frame
-        return {
-            series["threshold"].as_py(): (_array(series["t"]) * unit, _array(series["n_stick"])) for series in entries
-        }
-
     shards = Shards.of(path)
     unit = 1.0 if shards.opened.scene.scales is None else shards.opened.scene.scales.time
-    return Recorded(shards, "by_threshold", ["by_threshold"], entry)
 
+    def entry(thresholds: pa.ListScalar) -> dict[float, tuple[NDArray[np.float64], NDArray[np.int32]]]:
+        return {
+            series["threshold"].as_py(): (_array(series["t"]) * unit, _array(series["n_stick"]))
+            for series in thresholds.values  # noqa: PD011  an Arrow scalar, no data frame
+        }
 
-#: What a column holds in one row: an array where it is a list of numbers, else an Arrow scalar.
-_Row = Callable[[str], Any]
+    return Recorded(shards, ["by_threshold"], entry)
 
 
 class Shards:
@@ -379,11 +373,18 @@ class Recorded(Mapping[str, _Value]):
     """What a dataset recorded of its members, by member_id, in order; a shard is read when one of them is asked for.
 
     Ask in the order of the members: then none is read twice.
+
+    Parameters
+    ----------
+    columns : sequence of str
+        What is read; members without a value of the first are left out.
+    entry : callable
+        What is given of a member, by its values: arrays of lists of numbers, else Arrow scalars.
     """
 
-    def __init__(self, path: Source, recorded: str, columns: Sequence[str], entry: Callable[[_Row], _Value]) -> None:
-        self._shards, self._recorded, self._columns, self._entry = Shards.of(path), recorded, columns, entry
-        is_there = recorded in self._shards.opened.schema.names
+    def __init__(self, path: Source, columns: Sequence[str], entry: Callable[..., _Value]) -> None:
+        self._shards, self._columns, self._entry = Shards.of(path), columns, entry
+        is_there = columns[0] in self._shards.opened.schema.names
         self._numbers = range(len(self._shards.names) if is_there else 0)
         self._shards.columns += columns if is_there else []
         self._last = 0  # the shard of the member that was asked for last
@@ -392,7 +393,7 @@ class Recorded(Mapping[str, _Value]):
         return self._shards.shard(k, self._columns)
 
     def _rows(self, k: int) -> dict[str, int]:
-        return self._shard(k).rows(self._recorded)
+        return self._shard(k).rows(self._columns[0])
 
     @cached_property
     def _place(self) -> dict[str, int]:
@@ -410,7 +411,7 @@ class Recorded(Mapping[str, _Value]):
 
     def __getitem__(self, key: str) -> _Value:
         shard = self._shard(self._shard_of(key))
-        return self._entry(shard.row(shard.rows(self._recorded)[key]))
+        return self._entry(*shard.row(shard.rows(self._columns[0])[key], self._columns))
 
     def __contains__(self, key: object) -> bool:
         return key in self._place
@@ -445,7 +446,7 @@ class Series(Recorded[tuple[NDArray[np.float64], NDArray[np.int32]]]):
         n_done = 0
         while n_done < len(member_ids):
             shard = self._shard(self._shard_of(member_ids[n_done]))
-            row_of = shard.rows(self._recorded)
+            row_of = shard.rows(self._columns[0])
             waiting = itertools.islice(member_ids, n_done, None)
             rows = [row_of[name] for name in itertools.takewhile(row_of.__contains__, waiting)]
             starts, t, level = shard.together(self._columns, np.array(rows))
@@ -490,14 +491,14 @@ class _Shard:
             arrays.append(values[places])
         return [starts, *arrays]
 
-    def row(self, k: int) -> _Row:
-        def at(name: str) -> Any:
-            if name not in self._lists:
-                return self.columns[name][k]
-            values, offsets = self._lists[name]
-            return values[offsets[k] : offsets[k + 1]]
-
-        return at
+    def row(self, k: int, columns: Sequence[str]) -> Iterator[Any]:
+        """What columns hold in one row: arrays of lists of numbers, else Arrow scalars."""
+        for name in columns:
+            if name in self._lists:
+                values, offsets = self._lists[name]
+                yield values[offsets[k] : offsets[k + 1]]
+            else:
+                yield self.columns[name][k]
 
 
 def _array(entry: pa.ListScalar) -> np.ndarray:

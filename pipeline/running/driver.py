@@ -16,11 +16,11 @@ from distributed import Client, fire_and_forget
 
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
 from stickslip.pipeline.dataset.schema import scaled
-from stickslip.pipeline.dataset.status import Pace, Status, Tally, counted
+from stickslip.pipeline.dataset.status import Pace, Status, Tally, status
 from stickslip.pipeline.dataset.writer import Store
 from stickslip.pipeline.ensemble.expand import expand
 from stickslip.pipeline.ensemble.member import Member
-from stickslip.pipeline.ensemble.pack import Task
+from stickslip.pipeline.ensemble.pack import Batch
 from stickslip.pipeline.errors import ScheduleError
 from stickslip.pipeline.own.function import OwnFunction
 from stickslip.pipeline.places.manifest import Result
@@ -41,8 +41,8 @@ from stickslip.pipeline.running.worker import (
     load_kernels,
     row,
 )
-from stickslip.pipeline.scene import systems
 from stickslip.pipeline.scene.scene import Scene
+from stickslip.pipeline.scene.systems import read_measured
 from stickslip.sim.numerics.session import numpy_defaults
 
 log = logging.getLogger(__name__)
@@ -131,12 +131,12 @@ def run_ensemble(
     if scene.own_record is not None and (rows is None or scene.own_record not in rows.opened.scene.records):
         check_functions(scene, store.look()[1])  # before anything is written
     with store:
-        runs = [task[0].members if rows is None else rows.left(task) for task in store.todo]
+        runs = [batch.members if rows is None else rows.left(batch) for batch in store.todo]
         firsts = [member for members in runs for member in members.firsts()]
         _look_at_origins(firsts, scene.own_functions if firsts else ())
         fill = _Filling(store, firsts, Workers(workers, scheduler, dashboard), on_progress, start)
-        fill(lambda task: (*task, None if rows is None else rows.of(task)))
-    return counted(store.opened, store.tasks)
+        fill(lambda batch: (batch, None if rows is None else rows.of(batch)))
+    return status(store.opened)
 
 
 def _look_at_origins(firsts: Sequence[Member], functions: Iterable[OwnFunction]) -> None:
@@ -146,9 +146,9 @@ def _look_at_origins(firsts: Sequence[Member], functions: Iterable[OwnFunction])
     """
     for origin in {member.source.origin for member in firsts} | set(functions):
         if origin is not None:
-            systems.look_again(origin)
+            origin.look_again()
     for series in {value for member in firsts for value in member.series}:
-        systems.read_measured(series)
+        read_measured(series)
 
 
 def _check(scene: Scene, workers: int, scheduler: Scheduling, yes: bool) -> None:
@@ -204,7 +204,7 @@ class _Filling:
         start: float,
     ) -> None:
         self._store, self._workers, self._on_progress, self._start = store, workers, on_progress, start
-        self._costs = {batch.name: batch.cost for batch, _ in store.todo}
+        self._costs = {batch.name: batch.cost for batch in store.todo}
         shards = {name: shard for name, shard in store.done.items() if name not in self._costs}
         self._tally = Tally.of(store.tasks, shards)
         self._by_engine = {member.engine: member for member in reversed(firsts)}
@@ -215,8 +215,8 @@ class _Filling:
         self._most_workers = self._n_shards_before = 0
         self._is_waiting = bool(store.todo)
 
-    def __call__(self, order: Callable[[Task], Order]) -> None:
-        """Compute and commit; `order` gives what of a task is sent to a worker, and is called when it is.
+    def __call__(self, order: Callable[[Batch], Order]) -> None:
+        """Compute and commit; `order` gives what of a batch is sent to a worker, and is called when it is.
 
         Raises `SceneError` or `StoreError` or `ScheduleError` as `run_ensemble`.
         """

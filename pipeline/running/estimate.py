@@ -96,20 +96,20 @@ def _pilot(groups: Sequence[Members], seconds: float, recording: Recording) -> t
     # each point of a sweep may need kernels of its own, and to compile or load them is no part of the work
     points = {_point(member): member for member in chosen_members}
     run_members([replace(point, t_end=1e-6) for point in points.values()], recording)
-    tried, rows, factor = _run(chosen_members[:1], min(0.2 * seconds / chosen_members[0].cost, 1.0), recording)
+    tried, table, factor = _run(chosen_members[:1], min(0.2 * seconds / chosen_members[0].cost, 1.0), recording)
     # as many as there is time for, run together as in a batch
     expected = factor * chosen_members[0].cost
     share = min(0.4 * seconds / expected, 1.0)
     sample = chosen_members[1 : 1 + max(1, int(seconds / (share * expected)))]
     if sample:
-        further, sample_rows, factor = _run(sample, share, recording)
-        tried, rows = tried + further, rows + sample_rows
+        further, of_sample, factor = _run(sample, share, recording)
+        tried, table = tried + further, {name: values + of_sample[name] for name, values in table.items()}
     # the first row of a shard takes more than the next ones, which are like it
-    n_first_bytes, n_all_bytes = (_size(part_of_rows, recording) for part_of_rows in (rows[:1], rows))
-    a_row = (
-        (n_all_bytes - n_first_bytes) / (tried * (1.0 - 1.0 / len(rows))) if len(rows) > 1 else n_first_bytes / tried
-    )
-    return factor, n_first_bytes, a_row, [row["reason"] for row in rows if row["outcome"] == "failed"]
+    n_rows, schema = 1 + len(sample), schema_of(recording)
+    n_first, n_all = (len(encode({name: table[name][:k] for name in table}, schema)) for k in (1, n_rows))
+    a_row = (n_all - n_first) / (tried * (1.0 - 1.0 / n_rows)) if sample else n_first / tried
+    outcomes = zip(table["outcome"], table["reason"], strict=True)
+    return factor, n_first, a_row, [reason for outcome, reason in outcomes if outcome == "failed"]
 
 
 def _point(member: Member) -> Member:
@@ -118,21 +118,15 @@ def _point(member: Member) -> Member:
     return replace(member, member_id="", source=source, change=change._replace(draw=None), begin=begin)
 
 
-def _run(members: Sequence[Member], share: float, recording: Recording) -> tuple[float, list[dict[str, Any]], float]:
-    """Run a share of each member: how many whole ones that makes, their rows, core-seconds for a unit of cost."""
+def _run(members: Sequence[Member], share: float, recording: Recording) -> tuple[float, dict[str, list[Any]], float]:
+    """Run a share of each member: how many whole ones that makes, their columns, core-seconds for a unit of cost."""
     shortened = [replace(member, t_end=max(share * member.t_end, min(10.0, member.t_end))) for member in members]
     start = time.process_time()
     table = columns(shortened, run_members(shortened, recording), recording)
     took = max(time.process_time() - start, 1e-6)
-    rows = [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
     # one that ended early would also have done so if it were run whole
     shares = [
-        short_member.cost / member.cost if row["outcome"] == "finished" else 1.0
-        for short_member, member, row in zip(shortened, members, rows, strict=True)
+        short_member.cost / member.cost if outcome == "finished" else 1.0
+        for short_member, member, outcome in zip(shortened, members, table["outcome"], strict=True)
     ]
-    return sum(shares), rows, took / sum(a * member.cost for a, member in zip(shares, members, strict=True))
-
-
-def _size(rows: Sequence[dict[str, Any]], recording: Recording) -> int:
-    schema = schema_of(recording)
-    return len(encode({name: [row[name] for row in rows] for name in schema.names}, schema))
+    return sum(shares), table, took / sum(a * member.cost for a, member in zip(shares, members, strict=True))

@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from queue import SimpleQueue
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from stickslip.pipeline.machine.processes import Child, ChildDied
 
@@ -53,7 +53,7 @@ class Children(Executor):
 
     def __init__(self, n: int, load: Callable[[], None]) -> None:
         self._stack = ExitStack()
-        self._children = [self._stack.enter_context(Child(call)) for _ in range(n)]
+        self._children = [self._stack.enter_context(Child()) for _ in range(n)]
         self._pool = ThreadPoolExecutor(max(n, 1))
         self._loading = {child: self._pool.submit(_load, child, load) for child in self._children}
 
@@ -76,7 +76,7 @@ class Children(Executor):
             try:
                 loading.result()
                 while (task := _next(todo)) is not None:
-                    answers.put((task[0], child((function, (task[1],)))))
+                    answers.put((task[0], child(function, task[1])))
             except ChildDied:
                 self._loading.pop(child)
                 if task is not None:
@@ -102,12 +102,6 @@ class Children(Executor):
             future.result()
 
 
-def call(task: tuple[Callable[..., R], tuple[Any, ...]]) -> R:
-    """In a child: what a function gives of its arguments."""
-    function, arguments = task
-    return function(*arguments)
-
-
 def call_there(function: Callable[[T], R], part: bytes, version: Callable[[], str]) -> tuple[str, str, R]:
     """On a worker of dask: a version there, the machine, and what a function gives of a part, which comes pickled."""
     return version(), socket.gethostname(), function(pickle.loads(part))
@@ -115,7 +109,7 @@ def call_there(function: Callable[[T], R], part: bytes, version: Callable[[], st
 
 def _load(child: Child, load: Callable[[], None]) -> None:
     with suppress(ChildDied):  # seen again when it is asked
-        child((load, ()))
+        child(load)
 
 
 def _next(todo: deque[tuple[int, T]]) -> tuple[int, T] | None:

@@ -33,9 +33,6 @@ LOST_TIMEOUT = 60.0
 #: Seconds between two looks at what has come in; meanwhile the workers have their next tasks.
 _LOOK = 0.02
 
-#: Seconds between two looks at how many workers there are: the scheduler names each of them.
-_LOOK_AT_WORKERS = 1.0
-
 #: Results that are yielded together, at most, and bytes after which no more are fetched.
 _TOGETHER, _ROOM = 16, 2**26
 
@@ -44,20 +41,6 @@ ATTEMPTS = 3
 
 #: What is raised where the scheduler is lost; TimeoutError is an OSError.
 LOST = (CancelledError, CommClosedError, OSError)
-
-
-def in_flight(client: Client, n_together: int) -> Callable[[], int]:
-    """How many tasks are to be in flight, so many for each worker that there is at the last look."""
-    looked, count = -math.inf, 0
-
-    def window() -> int:
-        nonlocal looked, count
-        if time.monotonic() - looked > _LOOK_AT_WORKERS:
-            count = n_together * max(1, sum(client.nthreads().values()))
-            looked = time.monotonic()
-        return count
-
-    return window
 
 
 class Dask(Executor):
@@ -97,10 +80,10 @@ class Dask(Executor):
         """
         tasks: Iterable[tuple[int, T]] = enumerate(parts)
         lost: list[tuple[int, T]] = []
-        n_together = WINDOW
+        n_together, watch = WINDOW, Watch(self._client, self._scheduler, self._again, self._on_workers)
         try:
             for _ in range(ATTEMPTS + 1):
-                tasks = lost = yield from self._attempt(function, tasks, in_flight(self._client, n_together))
+                tasks = lost = yield from self._attempt(function, tasks, n_together, watch)
                 # dask blames a worker's death on all tasks that waited there
                 function, n_together = self._alone or function, 1
         except LOST as error:
@@ -114,17 +97,18 @@ class Dask(Executor):
             )
 
     def _attempt(
-        self, function: Callable[[T], R], tasks: Iterable[tuple[int, T]], window: Callable[[], int]
+        self, function: Callable[[T], R], tasks: Iterable[tuple[int, T]], n_together: int, watch: Watch
     ) -> Generator[list[tuple[int, R]], None, list[tuple[int, T]]]:
         """What the function gives of numbered parts, as it comes in; returns those whose workers died."""
         waiting = iter(tasks)
         running = as_completed(loop=self._client.loop)
         task_of: dict[Future[Any], tuple[int, T]] = {}
         lost: list[tuple[int, T]] = []
-        patience = _Patience(self._client, self._scheduler, self._again, self._on_workers)
+        watch.look()
         while True:
             # measured each time, as clusters grow and shrink
-            for task in itertools.islice(waiting, max(0, window() - running.count())):
+            window = n_together * max(1, watch.n_workers)
+            for task in itertools.islice(waiting, max(0, window - running.count())):
                 # in bytes: the scheduler, in this process, would unpack and pack the members one by one
                 content = pickle.dumps(task[1])
                 future = self._client.submit(call_there, function, content, self._version, pure=False)
@@ -132,15 +116,14 @@ class Dask(Executor):
                 running.add(future)
             if running.is_empty():
                 return lost
-            patience.look()
-            _until(running.has_ready, patience)
+            watch.until(running.has_ready)
             results: list[tuple[int, R]] = []
             try:
                 while running.has_ready() and len(results) < _TOGETHER and sizeof(results) < _ROOM:
                     future = next(running)
                     task = task_of.pop(future)
                     try:
-                        results.append((task[0], self._checked(_fetch(future, patience))))
+                        results.append((task[0], self._checked(watch.fetch(future))))
                     except KilledWorker:
                         lost.append(task)
                     except (ImportError, AttributeError) as error:
@@ -163,10 +146,11 @@ class Dask(Executor):
         )
 
 
-class _Patience:
-    """Ends a wait after `LOST_TIMEOUT` without a scheduler or, on this machine, without a worker.
+class Watch:
+    """Counts workers about once a second: the scheduler names each of them.
 
-    And at once where Slurm takes no job at all, as it will take no other.
+    Ends a wait after `LOST_TIMEOUT` without a scheduler or, on this machine, without a worker; and at once where
+    Slurm takes no job at all, as it will take no other.
     """
 
     def __init__(
@@ -174,7 +158,7 @@ class _Patience:
     ) -> None:
         self._client, self._scheduler, self._again, self._on_workers = client, scheduler, again, on_workers
         self._connected = self._staffed = time.monotonic()
-        self._looked, self._n_workers = -math.inf, 0
+        self._looked, self.n_workers = -math.inf, 0
 
     def look(self) -> None:
         """Raise if it is time to give up; a cluster at an address may be without workers for any time."""
@@ -188,10 +172,9 @@ class _Patience:
         if self._client.status == "running":
             self._connected = now
             with contextlib.suppress(*LOST):  # it may be lost just now, which is seen at the next look
-                n_workers = sum(self._client.nthreads().values())
-                self._staffed = now if n_workers else self._staffed
-                self._n_workers = n_workers
-        self._on_workers(self._n_workers)
+                self.n_workers = sum(self._client.nthreads().values())
+                self._staffed = now if self.n_workers else self._staffed
+        self._on_workers(self.n_workers)
         if now - self._connected > LOST_TIMEOUT:
             raise CommClosedError
         if self._connected == now and now - self._staffed > LOST_TIMEOUT:
@@ -206,17 +189,17 @@ class _Patience:
             )
             self._staffed = now
 
+    def until(self, is_so: Callable[[], bool]) -> None:
+        """Wait for something, looking about."""
+        self.look()
+        while not is_so():
+            time.sleep(_LOOK)
+            self.look()
 
-def _until(is_so: Callable[[], bool], patience: _Patience) -> None:
-    while not is_so():
-        time.sleep(_LOOK)
-        patience.look()
-
-
-def _fetch(future: Future[Any], patience: _Patience) -> Any:
-    """The result of a future that is done; dask computes it again if its worker has died since."""
-    while True:
-        try:
-            return future.result(timeout=LOST_TIMEOUT / 2)
-        except TimeoutError:
-            patience.look()
+    def fetch(self, future: Future[Any]) -> Any:
+        """The result of a future that is done; dask computes it again if its worker has died since."""
+        while True:
+            try:
+                return future.result(timeout=LOST_TIMEOUT / 2)
+            except TimeoutError:
+                self.look()

@@ -16,7 +16,7 @@ from stickslip.pipeline.dataset.opened import Opened
 from stickslip.pipeline.dataset.schema import Values, schema_of
 from stickslip.pipeline.ensemble.expand import Members
 from stickslip.pipeline.ensemble.member import Member
-from stickslip.pipeline.ensemble.pack import Task
+from stickslip.pipeline.ensemble.pack import Batch
 from stickslip.pipeline.records import ALWAYS
 from stickslip.pipeline.records.record import Made, NotKeptError, Record, stop_early
 from stickslip.pipeline.records.slips.thresholds import has_several
@@ -39,7 +39,7 @@ class KeptRows:
     def __init__(self, opened: Opened) -> None:
         opened.check()
         self.opened = opened
-        self._batches = {batch.name: batch for batch, _ in opened.tasks if batch.name in opened.manifest.shards}
+        self._batches = {batch.name: batch for batch in opened.tasks if batch.name in opened.manifest.shards}
         self._place = {
             member_id: (name, row)
             for name, batch in self._batches.items()
@@ -48,24 +48,23 @@ class KeptRows:
         self._read = lru_cache(_SHARDS)(self._read_shard)
         self._failed = lru_cache(None)(self._failed_rows)
 
-    def of(self, task: Task) -> Kept:
+    def of(self, batch: Batch) -> Kept:
         """The rows of a shard's members that did not fail."""
         shards: dict[str, dict[int, int]] = {}
-        for place, (name, row) in self._there(task[0].members).items():
+        for place, (name, row) in self._there(batch.members).items():
             shards.setdefault(name, {})[place] = row
         tables = [self._read(name).take(pa.array(rows.values(), pa.int64())) for name, rows in shards.items()]
         table = pa.concat_tables([schema_of(self.opened.scene.recording).empty_table(), *tables])
         places = tuple(place for rows in shards.values() for place in rows)
         return Kept(table.combine_chunks(), places, self.opened.scene.records)
 
-    def left(self, task: Task) -> Members:
+    def left(self, batch: Batch) -> Members:
         """The members of a shard that are run."""
-        batch, recording = task
         stored, records = self._there(batch.members), self.opened.scene.records
         places = (
             k
             for k, member in enumerate(batch.members)
-            if k not in stored or must_run(member, recording.records, records)
+            if k not in stored or must_run(member, batch.recording.records, records)
         )
         return batch.members.at([*places])
 
@@ -98,12 +97,7 @@ class Kept:
     places: tuple[int, ...]  #: those of the members in the batch, one a row
     records: tuple[Record, ...]  #: what the dataset of the rows keeps
 
-    def left(self, members: Sequence[Member], recording: Recording) -> list[Member]:
-        """The members that are run."""
-        places = {k for k in self.places if not must_run(members[k], recording.records, self.records)}
-        return [member for k, member in enumerate(members) if k not in places]
-
-    def completed(self, members: Sequence[Member], recording: Recording, run: Runs) -> dict[str, Values]:
+    def completed(self, members: Sequence[Member], recording: Recording, run: Runs) -> Mapping[str, Values]:
         """The columns of all members: kept, computed from what is kept, or of runs.
 
         `run` is called with the members of which the rows lack something.

@@ -7,7 +7,7 @@ from functools import lru_cache, partial
 from heapq import nsmallest
 
 from stickslip.pipeline.ensemble.member import Member
-from stickslip.pipeline.ensemble.pack import Task
+from stickslip.pipeline.ensemble.pack import Batch
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.own.trial import Trial, tried
 from stickslip.pipeline.records.own import KEY, OwnRecord
@@ -16,7 +16,7 @@ from stickslip.pipeline.running.worker import made
 from stickslip.pipeline.scene.scene import Scene
 
 
-def check_functions(scene: Scene, todo: Sequence[Task]) -> None:
+def check_functions(scene: Scene, todo: Sequence[Batch]) -> None:
     """Try what functions of the user's own measure on the cheapest of some members, twice and in two processes.
 
     One process has measured the next cheapest before, the other measures it afterwards: that shows what is kept from
@@ -27,7 +27,7 @@ def check_functions(scene: Scene, todo: Sequence[Task]) -> None:
     record = scene.own_record
     if record is None or not todo:
         return
-    firsts = (member for batch, _ in todo for member in batch.members.firsts())
+    firsts = (member for batch in todo for member in batch.members.firsts())
     members = nsmallest(2, firsts, key=lambda member: member.cost)
     names = ", ".join(measure.function.name for measure in record.functions)
     facts = tried(

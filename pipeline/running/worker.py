@@ -42,7 +42,7 @@ _NEVER = np.empty(0)
 _loaded: set[tuple[str, int]] = set()
 
 
-def compute(batch: Batch, recording: Recording, kept: Kept | None = None, run: Runs | None = None) -> Result:
+def compute(batch: Batch, kept: Kept | None = None, run: Runs | None = None) -> Result:
     """Run a batch's members and encode their rows; a member that raises becomes a row that says so.
 
     Parameters
@@ -53,7 +53,7 @@ def compute(batch: Batch, recording: Recording, kept: Kept | None = None, run: R
         How members are run: `run_members` if left out.
     """
     start = time.perf_counter()
-    run = run_members if run is None else run
+    run, recording = run_members if run is None else run, batch.recording
     members = tuple(batch.members)  # made once: they are made on demand
     rows: Mapping[str, Values]
     if kept is None:
@@ -77,14 +77,17 @@ def compute(batch: Batch, recording: Recording, kept: Kept | None = None, run: R
 
 
 #: A shard to be computed, with the rows that another dataset has, if there is one.
-Order = tuple[Batch, Recording, Kept | None]
+Order = tuple[Batch, Kept | None]
 
 
 def compute_there(order: Order) -> Result:
     """As `compute`, on a worker, which loads this module and no driver."""
-    batch, recording, stored = order
-    load_kernels(batch.members if stored is None else stored.left(batch.members, recording))
-    return compute(batch, recording, stored)
+    return compute(*order, _run_with_kernels)
+
+
+def _run_with_kernels(members: Sequence[Member], recording: Recording) -> list[dict[str, Any]]:
+    load_kernels(members)
+    return run_members(members, recording)
 
 
 def compute_alone(order: Order) -> Result:
@@ -101,19 +104,15 @@ def _run_alone(members: Sequence[Member], recording: Recording) -> list[dict[str
     with contextlib.ExitStack() as started:
         for member in members:
             for is_second in (False, True):
-                process = process or started.enter_context(Child(_run_members))
+                process = process or started.enter_context(Child())
                 try:
-                    rows += process(([member], recording))
+                    rows += process(run_members, [member], recording)
                     break
                 except ChildDied as death:
                     process = None
                     if is_second:
                         rows.append(failed(member, f"its worker died ({death})"))
     return rows
-
-
-def _run_members(task: tuple[list[Member], Recording]) -> list[dict[str, Any]]:
-    return run_members(*task)
 
 
 def columns(
@@ -253,15 +252,10 @@ def _times(member: Member, recording: Recording) -> np.ndarray:
     return np.unique(np.concatenate(asking)) if any(map(len, asking)) else _NEVER
 
 
-def is_cold(engine: str) -> bool:
-    """Whether an engine has kernels that are still to be compiled here, once a version of `sim`."""
-    kernels = ENGINES[engine].kernels
-    return bool(kernels) and not has_kernel(kernels)
-
-
 def cold_engines(engines: Iterable[str]) -> tuple[str, ...]:
-    """Those that are cold here, by name."""
-    return tuple(engine for engine in sorted(engines) if is_cold(engine))
+    """Those with kernels that are still to be compiled here, once a version of `sim`, by name."""
+    kernels = {engine: ENGINES[engine].kernels for engine in sorted(engines)}
+    return tuple(engine for engine, package in kernels.items() if package and not has_kernel(package))
 
 
 def load_kernels(members: Iterable[Member]) -> None:

@@ -450,7 +450,7 @@ class Scene(StrictTable):
         draws = self.start.draws or 1
         starts = [f"{draws} draw{'s' * (draws > 1)} of the start"] if is_drawn else []
         tables = [f"{len(self.engines)} engines"] if len(self.engines) > 1 else []
-        numbers = [dict(origin.parameters) for _, origin in self.sources if isinstance(origin, SystemFile)]
+        numbers = [file.parameters for file in self.system.known_files.values()]
         of_files = [f"{len({of_file[name] for of_file in numbers})} {name}" for name in (numbers or [{}])[0]]
         words = [*of_files, *map(str, self.axes), *starts]
         return " x ".join(words + tables) if words else ""
@@ -547,24 +547,21 @@ class Scene(StrictTable):
     def sources(self) -> list[tuple[int, SystemFile | SystemFunction | None]]:
         """The numbers of blocks that systems are drawn or made for; or those of the files that they are read from."""
         system = self.system
-        if system.is_of_files:
-            files = system.known_files
-            names = sorted(files, key=lambda name: (files[name].n, name))
-            others = {file for facts in files.values() for file, _ in facts.others.values()}
-            paths = located({*names, *others}, self._folder)
-            files_there: list[tuple[int, SystemFile | SystemFunction | None]] = []
-            n_copies = Counter[str]()
-            for name in names:
-                facts = files[name].model_dump(exclude={"n", "parameters", "names", "others"})
-                facts["others"] = tuple(
-                    OtherFile(array, paths[file], variable) for array, (file, variable) in files[name].others.items()
-                )
-                facts |= {"parameters": tuple(files[name].parameters.items()), "copy": n_copies[files[name].sha256]}
-                facts |= {"is_graph": system.coupling == OF_GRAPH}
-                files_there.append((files[name].n, SystemFile(name=name, at=paths[name], **facts)))
-                n_copies[files[name].sha256] += 1
-            return files_there
-        return [(n, self._function) for n in system.n]
+        if not system.is_of_files:
+            return [(n, self._function) for n in system.n]
+        files, is_graph = system.known_files, system.coupling == OF_GRAPH
+        paths = located(
+            {*files, *(file for facts in files.values() for file, _ in facts.others.values())}, self._folder
+        )
+        sources: list[tuple[int, SystemFile | SystemFunction | None]] = []
+        n_copies = Counter[str]()
+        for name, facts in sorted(files.items(), key=lambda file: (file[1].n, file[0])):
+            others = tuple(OtherFile(array, paths[file], word) for array, (file, word) in facts.others.items())
+            sha256, copy = facts.sha256, n_copies[facts.sha256]
+            file = SystemFile(name, sha256, facts.version, is_graph, copy, facts, paths[name], others)
+            sources.append((facts.n, file))
+            n_copies[sha256] += 1
+        return sources
 
     @property
     def _function(self) -> SystemFunction | None:

@@ -30,6 +30,7 @@ from stickslip.pipeline.scene.readers import FORMATS, reader_of
 from stickslip.pipeline.scene.readers.text import Text
 from stickslip.pipeline.scene.source import MAX_FILES, REALISATION
 from stickslip.pipeline.scene.system_files import NAMES, arrays_of, series_of
+from stickslip.pipeline.scene.system_table import FileTable
 from stickslip.pipeline.scene.toml import shown
 from stickslip.sim.numerics.arguments import per_block
 from stickslip.sim.runs.blocks import PATTERN, named
@@ -66,17 +67,12 @@ class SystemFile:
 
     name: str
     sha256: str
-    at: str = field(compare=False)
-    scale: float
-    entries: int
-    is_sparse: bool
-    arrays: tuple[str, ...]
     version: int
-    parameters: tuple[tuple[str, float], ...] = ()
-    variable: str = ""  #: what it calls K, if the scene says so
-    others: tuple[OtherFile, ...] = field(default=(), compare=False)  #: of which `sha256` is, too
-    is_graph: bool = False  #: whether it holds a graph, and no K
-    copy: int = 0  #: how many files before it are equal to it: realisations that came out the same
+    is_graph: bool  #: whether it holds a graph, and no K
+    copy: int  #: how many files before it are equal to it: realisations that came out the same
+    facts: FileTable = field(compare=False)  #: what it held when the scene was read
+    at: str = field(compare=False)
+    others: tuple[OtherFile, ...] = field(compare=False)  #: of which `sha256` is, too
 
     @property
     def word(self) -> str:
@@ -84,10 +80,19 @@ class SystemFile:
         return f"K{self.sha256[:12]}" + f"_{self.copy}" * (self.copy > 0)
 
     @property
+    def is_sparse(self) -> bool:
+        """Whether its matrix is sparse."""
+        return self.facts.is_sparse
+
+    @property
     def realisation(self) -> int | None:
         """The number of the realisation, if it says so."""
-        number = dict(self.parameters).get(REALISATION)
+        number = self.facts.parameters.get(REALISATION)
         return None if number is None else int(number)
+
+    def look_again(self) -> None:
+        """See that it is as it was when the scene was read; raises as `read`."""
+        read(self)
 
     def matrix(self, draw: int) -> int:
         """The number of a draw of what the file leaves open: files of one realisation share it, from version 3 on.
@@ -134,7 +139,7 @@ def read(file: SystemFile) -> Mapping[str, Any]:
 
     Raises `SceneError` if it is gone, or not what it was.
     """
-    return _read(file.at, file.sha256, file.is_graph, file.variable, file.others)
+    return _read(file.at, file.sha256, file.is_graph, file.facts.variable, file.others)
 
 
 @lru_cache(maxsize=2)
@@ -165,17 +170,6 @@ def _digest(system: _Content, others: Mapping[str, _Content]) -> str:
     contents = {"stiffness": system, **others}
     words = [f"{array} {content.variable} {digest(content.bytes)}" for array, content in sorted(contents.items())]
     return digest("\n".join(words).encode())
-
-
-def look_again(origin: SystemFile | OwnFunction) -> None:
-    """See that a file or a function of the user's own is as it was when the scene was read.
-
-    Raises `SceneError` if it is gone, or another.
-    """
-    if isinstance(origin, SystemFile):
-        read(origin)
-    else:
-        own.look_again(origin)
 
 
 def _arrays(system: _Content, others: Mapping[str, _Content], is_graph: bool) -> dict[str, Any]:

@@ -116,7 +116,7 @@ def driver_killed_amid_shards_that_come_together(world: World, count: int) -> in
     def run(out: Path) -> None:
         with Store(out, world.scene) as store:
             for some in (store.todo[k : k + 3] for k in range(0, len(store.todo), 3)):
-                store.commit(*(compute(*task) for task in some))
+                store.commit(*(compute(batch) for batch in some))
 
     return _killed_at_each_step(world, run, count)
 

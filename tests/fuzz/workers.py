@@ -52,17 +52,17 @@ def verdicts(
 ) -> Iterator[tuple[Any, Verdict]]:
     """Of the cases, one after another, until the clock says so; a process that does not answer is replaced."""
     with ExitStack() as children:
-        child = children.enter_context(Child(judged, shows_errors=True))
+        child = children.enter_context(Child(shows_errors=True))
         for case in cases:
             if time.monotonic() > until:
                 return
             guard = threading.Timer(patience, child.kill)
             guard.start()
             try:
-                verdict = child(case)
+                verdict = child(judged, case)
             except ChildDied as error:
                 verdict = Verdict(failures=[f"its process ended: {error}"])
-                child = children.enter_context(Child(judged, shows_errors=True))
+                child = children.enter_context(Child(shows_errors=True))
             finally:
                 guard.cancel()
             yield case, verdict

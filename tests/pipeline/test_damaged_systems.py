@@ -19,12 +19,12 @@ N_KINDS = len(DAMAGE | NO_FILES)
 def test_a_damaged_file_is_read_right_or_refused_in_a_line(n_files, random_seed, tmp_path):
     kinds = [*DAMAGE, *NO_FILES]
     counts = {kind: Counter() for kind in kinds}
-    with Child(judge, shows_errors=True) as child:
+    with Child(shows_errors=True) as child:
         for number in range(n_files):
             folder = tmp_path / str(number)
             folder.mkdir()
             print("case", number, kinds[number % N_KINDS])
-            counts[kinds[number % N_KINDS]][child((random_seed, number, str(folder)))] += 1
+            counts[kinds[number % N_KINDS]][child(judge, (random_seed, number, str(folder)))] += 1
     for kind, count in counts.items():
         print(f"{kind:20}", dict(count))
     assert sum(count["refused"] for count in counts.values()) > n_files / 3

@@ -144,9 +144,9 @@ def test_without_workers_a_run_gives_up_but_at_an_address_says_that_it_waits(mon
     monkeypatch.setattr(submit.log, "warning", lambda words, *_: said.append(words))
     with cluster.connect(1, None) as client:
         client.cluster.scale(0)
-        submit._until(lambda: len(said) > 1, submit._Patience(client, client, "go on"))
+        submit.Watch(client, client, "go on").until(lambda: len(said) > 1)
         with pytest.raises(ScheduleError, match="expected workers, got none for"):
-            submit._until(lambda: False, submit._Patience(client, None, "go on"))
+            submit.Watch(client, None, "go on").until(lambda: False)
     assert all(words.startswith("waiting for workers: ") for words in said)
 
 
@@ -243,12 +243,13 @@ def test_workers_of_another_version_are_refused(monkeypatch):
 def test_workers_are_counted_once_a_second(monkeypatch):
     """A look names each of a thousand workers: one for each result would take longer than the result."""
     clock, looks = [0.0], []
-    client = SimpleNamespace(nthreads=lambda: looks.append(clock[0]) or dict.fromkeys(range(len(looks)), 1))
+    count = lambda: looks.append(clock[0]) or dict.fromkeys(range(len(looks)), 1)  # noqa: E731
+    client = SimpleNamespace(nthreads=count, cluster=None, status="running")
     monkeypatch.setattr(submit.time, "monotonic", lambda: clock[0])
-    window = submit.in_flight(client, submit.WINDOW)
-    found = []
+    watch, found = submit.Watch(client, client, "go on"), []
     for clock[0] in (5.0, 5.5, 5.9, 6.1, 7.0, 7.2):
-        found.append(window() // submit.WINDOW)
+        watch.look()
+        found.append(watch.n_workers)
     assert (looks, found) == ([5.0, 6.1, 7.2], [1, 1, 1, 2, 2, 3])
 
 
@@ -301,11 +302,11 @@ def test_a_run_says_what_it_waits_for_and_asks_a_worker_what_is_to_be_compiled(s
 
 
 def test_cold_engines_are_those_whose_kernels_are_missing(finished, tmp_path, monkeypatch):
-    assert not any(map(worker.is_cold, ("coulomb", "sigmoid")))  # those of `finished`
+    assert worker.cold_engines(("coulomb", "sigmoid")) == ()  # those of `finished`
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    assert all(map(worker.is_cold, ENGINES))
+    assert {*worker.cold_engines(ENGINES)} == {*ENGINES}
     monkeypatch.setattr(ENGINES["coulomb"], "kernels", "")
-    assert not worker.is_cold("coulomb")
+    assert worker.cold_engines(["coulomb"]) == ()
 
 
 @pytest.mark.long
@@ -323,13 +324,13 @@ members = [member for member in expand(parse_scene({SOURCE!r})) if member.engine
 with event.install_recorder("numba:compile") as compiled:
     worker.load_kernels(members)
 worker.load_kernels(members)
-print(any("advance" in str(e.data["dispatcher"]) for _, e in compiled.buffer), worker.is_cold("coulomb"))
+print(any("advance" in str(e.data["dispatcher"]) for _, e in compiled.buffer), worker.cold_engines(["coulomb"]))
 """,
     ]
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     running = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
     said = [process.communicate(timeout=500)[0].split() for process in running]
-    assert sorted(said) == [["False", "False"], ["True", "False"]]
+    assert sorted(said) == [["False", "()"], ["True", "()"]]
     assert len(list(tmp_path.rglob("*.nbc"))) == 1
 
 

@@ -21,7 +21,7 @@ def short_pilot(monkeypatch):
 
 @pytest.fixture
 def batches(scene):
-    return [batch for batch, _ in pack.tasks(scene)]
+    return pack.tasks(scene)
 
 
 def test_disk_is_as_the_run_takes_it_and_time_that_of_its_workers(scene, batches, finished):
@@ -34,7 +34,7 @@ def test_disk_is_as_the_run_takes_it_and_time_that_of_its_workers(scene, batches
 def test_what_a_first_run_compiles_is_not_counted(scene, monkeypatch):
     """Each point of a sweep takes a tenth of a second when it is first met, as one with the first force may."""
     swept = scene.changed(system={"belt_speed": [-0.1, -0.2, -0.3]})
-    batches = [batch for batch, _ in pack.tasks(swept)]
+    batches = pack.tasks(swept)
     plain, met, run = estimate(swept, batches, 1), set(), worker.run_members
 
     def compiling(members, recording):

@@ -172,8 +172,8 @@ def test_members_and_records_are_added_together_and_what_is_not_the_same_is_run(
 def test_workers_get_the_rows_and_give_the_same_bytes(plain, tmp_path):
     opened = open_dataset(plain)
     rows = KeptRows(opened)
-    for task in Store(tmp_path / "out", with_records(opened, {"waiting": True, "end": True})).look()[1][:1]:
-        order = (*task, rows.of(task))
+    for batch in Store(tmp_path / "out", with_records(opened, {"waiting": True, "end": True})).look()[1][:1]:
+        order = (batch, rows.of(batch))
         here, there, alone = (
             worker.compute(*order),
             worker.compute_there(pickle.loads(pickle.dumps(order))),
@@ -187,7 +187,7 @@ def test_members_that_failed_are_run_again(tmp_path, fragile, content):
         assert run_ensemble(parse_scene(source()), tmp_path / "part", workers=0).n_failed == 4
     opened = open_dataset(tmp_path / "part")
     rows, tasks = KeptRows(opened), Store(tmp_path / "out", with_records(opened, KEYS)).look()[1]
-    assert sum(len(rows.left(task)) for task in tasks) == 4
+    assert sum(len(rows.left(batch)) for batch in tasks) == 4
     run_ensemble(parse_scene(source("waiting = true")), tmp_path / "whole", workers=0)
     assert extend(tmp_path / "part", KEYS, tmp_path / "out", workers=0).n_failed == 0
     assert data(content(tmp_path / "out")) == data(content(tmp_path / "whole"))

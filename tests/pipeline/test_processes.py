@@ -30,8 +30,8 @@ def test_a_file_of_the_users_is_no_module_of_ours(scene, tmp_path, monkeypatch):
     for name in ("sim", "pipeline", "pickle"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit(3)\n")
     monkeypatch.chdir(tmp_path)
-    batch = Batch(0, expand(scene)[:2], scene.hash)
-    here, there = compute(batch, scene.recording), compute_alone((batch, scene.recording, None))
+    batch = Batch(0, expand(scene)[:2], scene.recording)
+    here, there = compute(batch), compute_alone((batch, None))
     assert there.shard == here.shard
 
 
@@ -49,7 +49,7 @@ def test_it_ends_with_its_parent_in_the_middle_of_its_work(tmp_path):
     pid = tmp_path / "pid"
     code = (
         "from stickslip.pipeline.machine.processes import Child; from tests.pipeline.test_processes import hang\n"
-        f"Child(hang)({str(pid)!r})"
+        f"Child()(hang, {str(pid)!r})"
     )
     with subprocess.Popen([sys.executable, "-c", code], env=processes._environment()) as parent:
         until(lambda: pid.exists() and pid.read_text() != "")
@@ -58,15 +58,16 @@ def test_it_ends_with_its_parent_in_the_middle_of_its_work(tmp_path):
 
 
 def test_it_answers_one_question_after_the_other_and_says_how_it_died():
-    with Child(math.factorial) as child:
-        assert [child(n) for n in range(5)] == [1, 1, 2, 6, 24]
+    with Child() as child:
+        assert [child(math.factorial, n) for n in range(5)] == [1, 1, 2, 6, 24]
+        assert child(math.comb, 5, 2) == 10
         with pytest.raises(ChildDied, match="exit code 1"):  # it raised
-            child("five")
+            child(math.factorial, "five")
         with pytest.raises(ChildDied, match="exit code 1"):
-            child(5)
-    with Child(leave) as child, pytest.raises(ChildDied, match="exit code 3"):
-        child(3)
-    with Child(hang) as child:
+            child(math.factorial, 5)
+    with Child() as child, pytest.raises(ChildDied, match="exit code 3"):
+        child(leave, 3)
+    with Child() as child:
         pass
     assert not is_running(child.pid)
 
@@ -75,8 +76,8 @@ def test_it_has_some_time_to_start(tmp_path, monkeypatch):
     (tmp_path / "sitecustomize.py").write_text("import time; time.sleep(999)\n")
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
     monkeypatch.setattr(processes, "_FIRST_SECONDS", 1.0)
-    with Child(math.factorial) as child, pytest.raises(ChildDied, match="signal SIGKILL"):
-        child(3)
+    with Child() as child, pytest.raises(ChildDied, match="signal SIGKILL"):
+        child(math.factorial, 3)
 
 
 FORKING = """

@@ -166,7 +166,7 @@ def test_files_have_the_modes_that_their_owner_lets_them_have(scene, tmp_path):
     before = os.umask(0o002)
     try:
         with Store(tmp_path / "out", scene) as store:
-            store.commit(compute(*store.todo[0]))
+            store.commit(compute(store.todo[0]))
             modes = {file.name: file.stat().st_mode & 0o777 for file in (tmp_path / "out").rglob("*.*")}
     finally:
         os.umask(before)
@@ -176,7 +176,7 @@ def test_files_have_the_modes_that_their_owner_lets_them_have(scene, tmp_path):
 
 def test_a_commit_that_fails_is_forgotten(scene, tmp_path, monkeypatch):
     with Store(tmp_path, scene) as store:
-        first, second = (compute(*task) for task in store.todo[:2])
+        first, second = (compute(batch) for batch in store.todo[:2])
         fsync, calls = os.fsync, []
 
         def full(descriptor):
@@ -199,7 +199,7 @@ def test_a_commit_that_fails_is_forgotten(scene, tmp_path, monkeypatch):
 def test_shards_that_are_committed_together_are_all_there_or_none(scene, tmp_path, monkeypatch, at):
     """Whichever of the shards is refused; none leaves a file, and the record has no word of it."""
     with Store(tmp_path, scene) as store:
-        first, *some = (compute(*task) for task in store.todo[:4])
+        first, *some = (compute(batch) for batch in store.todo[:4])
         store.commit(first)
         replace = Directory.replace
 
@@ -299,7 +299,7 @@ def test_page_checksums_catch_a_flipped_bit_that_the_manifest_does_not_know(copy
     with pytest.raises(StoreError, match=r"CRC checksum.*rerun the scene"):
         query.members(copy, columns=["member_id"])
     for more in ("", ", range(20000)"):  # found before the first rows, and after
-        with pytest.raises(StoreError, match=r"a shard cannot be read.*CRC checksum.*rerun the scene"):
+        with pytest.raises(StoreError, match=r"cannot be read.*CRC checksum.*rerun the scene"):
             query.sql(copy, f"SELECT member_id FROM members{more}")
 
 

@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from stickslip.pipeline.machine.processes import Child
-from stickslip.pipeline.own import files, function, modules, trial
+from stickslip.pipeline.own import files, function, modules
 
 
-def anew(task: Any) -> Any:
+def anew(called: Callable[..., Any], *arguments: Any) -> Any:
     """In a child: try a function, and keep nothing that was loaded for it but this package.
 
     Its kernels know their classes by name.
     """
     before = set(sys.modules)
-    found = trial._try(task)
+    found = called(*arguments)
     for name in set(sys.modules) - before:
         if name.startswith("stickslip."):
             continue
@@ -36,18 +36,17 @@ class Kept(Child):
     owes = False
 
     @classmethod
-    def next(cls, called: Callable[[Any], Any]) -> Kept:
-        assert called is trial._try
-        return cls.waiting.pop() if cls.waiting else cls(anew)
+    def next(cls) -> Kept:
+        return cls.waiting.pop() if cls.waiting else cls()
 
     @classmethod
     def end(cls) -> None:
         while cls.waiting:
             Child.__exit__(cls.waiting.pop())
 
-    def __call__(self, argument: object) -> Any:
+    def __call__(self, called: Callable[..., Any], *arguments: Any) -> Any:
         self.owes = True
-        answer = super().__call__(argument)
+        answer = super().__call__(anew, called, *arguments)
         self.owes = False
         return answer
 

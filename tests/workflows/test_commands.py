@@ -429,7 +429,7 @@ def test_a_run_without_a_report(here, small_scene, dataset, tmp_path, monkeypatc
 def test_the_status_of_a_run_that_goes_on(dataset, tmp_path, capsys):
     """A lock file as a driver leaves it: this process."""
     copy = shutil.copytree(dataset, tmp_path / "copy")
-    cost = sum(batch.cost for batch, _ in open_dataset(copy).tasks)
+    cost = sum(batch.cost for batch in open_dataset(copy).tasks)
     pace = Pace(time.time() - 10.0, 2, cost / 3, 0, 1)
     began = f"began {time.time() - 15.0}"
     lines = [

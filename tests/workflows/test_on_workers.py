@@ -95,7 +95,7 @@ def children(*lives):
     """Processes that die after so many calls: in this one."""
 
     class Mortal:
-        def __init__(self, _):
+        def __init__(self):
             self._n_calls = next(calls)
 
         def __enter__(self):
@@ -107,11 +107,12 @@ def children(*lives):
         def kill(self):
             self._n_calls = 0
 
-        def __call__(self, task):
+        def __call__(self, *task):
             if self._n_calls == 0:
                 raise ChildDied("signal SIGKILL")
             self._n_calls -= 1
-            return executor.call(pickle.loads(pickle.dumps(task)))
+            function, *arguments = pickle.loads(pickle.dumps(task))
+            return function(*arguments)
 
     calls = iter(lives)
     with pytest.MonkeyPatch.context() as patch:

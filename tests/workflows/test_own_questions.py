@@ -224,8 +224,9 @@ def test_it_is_found_above_the_dataset_and_what_it_loads_is_named(asked, tmp_pat
     ("function", "seconds", "words"),
     [(repr, 0.01, "got none; correct"), (sys._clear_type_cache, 60.0, r"its process ended \(exit code 1\)")],
 )
-def test_a_process_that_gives_no_answer_is_told(function, seconds, words):
-    with Child(function) as child:
+def test_a_process_that_gives_no_answer_is_told(function, seconds, words, monkeypatch):
+    monkeypatch.setattr(own_questions, "answer", function)
+    with Child() as child:
         found = put(child, Task("own:question", "."), seconds)
     assert re.search(rf"^expected an answer within {seconds:g} s, {words}", found.problem)
 

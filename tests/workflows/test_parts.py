@@ -174,11 +174,10 @@ def test_a_link_of_another_user_leads_to_what_is_that_users_and_makes_nothing_el
 def test_names_of_unfinished_copies_are_not_guessed(tmp_path):
     names = set()
     for _ in range(2):
-        with plain.folder(tmp_path) as directory:
-            new = plain.Replacement("x", directory, tmp_path / "x")
+        with plain.folder(tmp_path) as directory, plain.Replacement("x", directory, tmp_path / "x"):
             (left,) = tmp_path.iterdir()
             names.add(left.name)
-            new.give_up()
+    assert not [*tmp_path.iterdir()]
     assert len(names) == 2
 
 

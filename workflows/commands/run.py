@@ -8,6 +8,7 @@ import sys
 import unicodedata
 from collections.abc import Callable, Sequence, Sized
 from contextlib import nullcontext, suppress
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from threading import Thread
@@ -22,7 +23,6 @@ from stickslip.workflows.commands.report import check_no_ensemble, publish, writ
 if TYPE_CHECKING:
     from stickslip.pipeline import Batch, Scene
     from stickslip.pipeline.dataset.opened import Opened
-    from stickslip.pipeline.ensemble.pack import Task
     from stickslip.pipeline.places.place import Place
 
 #: Options of `run_ensemble`.
@@ -206,7 +206,7 @@ def say_estimate(
     ends.check(scene)
     check_memory(scene, arguments.workers)
     store = Store(out, scene, arguments.retry_failed, arguments.accept_version)
-    planned, to_go = ([batch for batch, _ in tasks] for tasks in store.look())
+    planned, to_go = store.look()
     shards = f"{len(planned)} shard{'s' * (len(planned) > 1)}"
     print(printable(f"{file}: {scene.n_members} members in {shards}, into {out}"), flush=True)
     if scene.extent:
@@ -237,16 +237,13 @@ def say_estimate(
     return DONE
 
 
-def _left(todo: Sequence[Task], kept: Opened) -> list[Batch]:
+def _left(todo: Sequence[Batch], kept: Opened) -> list[Batch]:
     """The members that are run beside rows that are kept, by shard."""
-    from stickslip.pipeline.ensemble.pack import Batch
     from stickslip.pipeline.running.taken_over import KeptRows
 
     rows = KeptRows(kept)
-    left = [Batch(batch.number, rows.left((batch, recording)), batch.scene_hash) for batch, recording in todo]
-    n_run, n_members = (
-        sum(len(batch.members) for batch in batches) for batches in (left, [task[0] for task in todo])
-    )
+    left = [replace(batch, members=rows.left(batch)) for batch in todo]
+    n_run, n_members = (sum(len(batch.members) for batch in batches) for batches in (left, todo))
     print(f"to run  {n_run} of {n_members} members; what is kept suffices for the others", flush=True)
     return [batch for batch in left if len(batch.members)]
 

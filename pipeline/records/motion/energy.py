@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, Self
 
 import numpy as np
@@ -92,17 +92,9 @@ class EpisodeEnergy(Record):
         return {"episode_energy": lost[np.searchsorted(balance.t, end)] - lost[np.searchsorted(balance.t, start)]}
 
 
-_LATEST: list[tuple[Made, Energy | None]] = []
-
-
+@lru_cache(maxsize=1)  # for both records
 def _balance(result: Made) -> Energy | None:
-    """The energy balance of a run, computed once for both records; None if it has none."""
-    if not _LATEST or _LATEST[0][0] is not result:
-        _LATEST[:] = [(result, _sum(result))]
-    return _LATEST[0][1]
-
-
-def _sum(result: Made) -> Energy | None:
+    """The energy balance of a run; None if it has none."""
     member, run = result.member, result.run
     if run.outcome == "diverged" or not ENGINES[member.engine].is_exact:
         return None

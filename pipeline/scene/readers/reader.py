@@ -99,8 +99,8 @@ def in_child(function: Callable[..., Any], *arguments: Any) -> Any:
     Raises `ValueError` with its message if it raises one, dies or takes longer than `_LONGEST`.
     """
     try:
-        with Child(_call) as child, child.within(_LONGEST):
-            problem, answer = child((function, arguments))
+        with Child() as child, child.within(_LONGEST):
+            problem, answer = child(_tried, function, arguments)
     except ChildDied as death:
         raise ValueError(f"its reader died ({death}), as of a damaged file") from None
     if problem:
@@ -108,9 +108,8 @@ def in_child(function: Callable[..., Any], *arguments: Any) -> Any:
     return answer
 
 
-def _call(task: tuple[Callable[..., Any], tuple[Any, ...]]) -> tuple[str, Any]:
+def _tried(function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[str, Any]:
     """In a child: what is wrong, or what the function gives."""
-    function, arguments = task
     try:
         return "", function(*arguments)
     except Exception as error:  # noqa: BLE001  readers raise a dozen kinds for damaged files
