@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.engines.contract import Task
-from stickslip.sim.engines.precheck import Precheck
+from stickslip.sim.engines.course import Precheck
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.systems.once import once_a_system
 from stickslip.sim.systems.system import System
@@ -159,34 +159,30 @@ class _Sliding:
     rest: Floats
     bound: Floats
 
-    @classmethod
-    def of(cls, system: System) -> _Sliding | None:
-        """None if not all eigenmodes decay, or there is no state of rest."""
-        unit, speed = system.of_unit_mass, np.broadcast_to(np.abs(system.belt_speed_at(0.0)), system.n)
-        if system.weakening is None:
-            eigenmodes = _eigenmodes(unit)
-        else:
-            eigenmodes = _Eigenmodes(unit.slip_matrix(unit.kinetic_slope(speed)))
-        if not eigenmodes.decay:
-            return None
-        try:
-            rest = unit.rest_under(unit.kinetic(speed) * np.sign(system.belt_speed_at(0.0)))
-        except np.linalg.LinAlgError:
-            return None
-        bound = speed * _SHARES[:, np.newaxis]
-        if system.weakening is not None:
-            tangent = unit.kinetic_slope(speed) * bound
-            deviation = np.maximum(
-                *(np.abs(unit.kinetic(speed + s * bound) - unit.kinetic(speed) - s * tangent) for s in (-1, 1))
-            )
-            most = np.maximum.accumulate(deviation[::-1])[::-1]  # of all smaller |w|
-            bound = bound - _CERTAIN * most @ eigenmodes.response()[unit.n :].T
-        return cls(eigenmodes.sizes[unit.n :], eigenmodes.inverse, rest, bound)
-
 
 @once_a_system
 def _sliding(system: System) -> _Sliding | None:
-    return _Sliding.of(system)
+    """None if not all eigenmodes decay, or there is no state of rest."""
+    unit, speed = system.of_unit_mass, np.broadcast_to(np.abs(system.belt_speed_at(0.0)), system.n)
+    if system.weakening is None:
+        eigenmodes = _eigenmodes(unit)
+    else:
+        eigenmodes = _Eigenmodes(unit.slip_matrix(unit.kinetic_slope(speed)))
+    if not eigenmodes.decay:
+        return None
+    try:
+        rest = unit.rest_under(unit.kinetic(speed) * np.sign(system.belt_speed_at(0.0)))
+    except np.linalg.LinAlgError:
+        return None
+    bound = speed * _SHARES[:, np.newaxis]
+    if system.weakening is not None:
+        tangent = unit.kinetic_slope(speed) * bound
+        deviation = np.maximum(
+            *(np.abs(unit.kinetic(speed + s * bound) - unit.kinetic(speed) - s * tangent) for s in (-1, 1))
+        )
+        most = np.maximum.accumulate(deviation[::-1])[::-1]  # of all smaller |w|
+        bound = bound - _CERTAIN * most @ eigenmodes.response()[unit.n :].T
+    return _Sliding(eigenmodes.sizes[unit.n :], eigenmodes.inverse, rest, bound)
 
 
 @dataclass(frozen=True)
@@ -459,9 +455,9 @@ class Collapse:
         if flow is not None or wanted <= 0 or reach < wanted:
             return Certificate(bool(reason), reason, flow)
         if not reason and limit >= limit_of_flow:
-            self.precheck = Precheck.of(
-                eigenmodes.inverse, eigenmodes.sizes[n:], rest, self.precheck.slip, limit, eigenmodes.growth
-            )
+            inverse, slip, room = eigenmodes.inverse, self.precheck.slip, np.empty(2 * n)
+            parts = np.array([inverse.real, inverse.imag])
+            self.precheck = Precheck(parts, eigenmodes.sizes[n:], rest, slip, limit, eigenmodes.growth, 0.0, room)
         # the slowest eigenmode must decay from `reach` to what is wanted: no use in asking much earlier
         return Certificate(bool(reason), reason, None, 0.25 * math.log(reach / wanted) / -eigenmodes.growth)
 

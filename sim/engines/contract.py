@@ -30,7 +30,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stickslip.sim.numerics.arguments import Floats, floats, number, per_block
+from stickslip.sim.numerics.arguments import Floats, floats, number
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.systems.system import System
 
@@ -136,22 +136,12 @@ class Ratios(Setting):
     """
 
     def checked(self, name: str, value: ArrayLike) -> ArrayLike:
-        return value  # `for_blocks` checks it against a system
-
-    @staticmethod
-    def for_blocks(name: str, value: ArrayLike, n: int) -> Floats:
-        """The ratio of each of n blocks, shape (n,), from the setting."""
-        return per_block(name, value, n, "r_i > 0")
+        return value  # it is checked against a system
 
 
 def setting(default: Any, about: Setting) -> Any:
     """A field of an engine."""
     return field(default=default, metadata={"setting": about})
-
-
-@cache  # small systems run in a fraction of a millisecond
-def _settings(engine: type[Engine]) -> dict[str, Setting]:
-    return {field.name: field.metadata["setting"] for field in fields(engine)}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -177,7 +167,7 @@ class Engine(ABC):
     #: Whether its runs have `Run.stills`, from which the moments of episodes are.
     keeps_stills: ClassVar[bool] = False
     #: What it runs beyond eq. (10), by the names in `stickslip.sim.systems.system.BEYOND`; systems with anything else
-    #: there are refused. Masses are divided out before.
+    #: there are refused, but for "mass": masses are divided out before.
     takes: ClassVar[frozenset[str]] = frozenset()
 
     def __init_subclass__(cls) -> None:
@@ -208,14 +198,10 @@ class Engine(ABC):
         return {name: getattr(self, name) for name, about in known if isinstance(about, Number) and about.picked}
 
     @classmethod
-    def taken(cls) -> frozenset[str]:
-        """What systems that it is given may have beyond eq. (10)."""
-        return cls.takes | {"mass"}
-
-    @classmethod
+    @cache  # small systems run in a fraction of a millisecond
     def settings(cls) -> dict[str, Setting]:
         """The settings, by name."""
-        return _settings(cls)
+        return {field.name: field.metadata["setting"] for field in fields(cls)}
 
     @classmethod
     def defaults(cls) -> dict[str, Any]:

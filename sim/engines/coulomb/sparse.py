@@ -25,7 +25,6 @@ from stickslip.sim.engines.coulomb.taylor import UNDECIDED, curvature, decide, e
 from stickslip.sim.engines.coulomb.windows import Run, evaluate, instant, note, record, sample, stalls
 from stickslip.sim.engines.course import Events
 from stickslip.sim.engines.frame import Way, frame
-from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, largest
@@ -111,19 +110,19 @@ def _next_event(
     run: Run[Local], i: int, face: Face, series: Floats, column: int, reach: float, horizon: tuple[int, float]
 ) -> float:
     """The time to the next event of block i; its series, of which `reach` is known, is that column."""
-    model, search = run.model, run.work.search
+    model, expansion = run.model, run.work.expansion
     first, v = (series[0, column], series[1, column], series[2, column]), model.belt_speed[i]
     bounds = v, model.damping[i] * v, model.static[i], model.closed[i]
     if excluded(face, first, bounds, horizon[1], reach):
         return _NEVER
-    time, is_found = root(face, series, column, bounds, horizon, (search.poly, search.places))
+    time, is_found = root(face, series, column, bounds, horizon, (expansion.poly, expansion.places))
     return time if is_found else _NEVER
 
 
 @inner
 def _schedule_all(run: Run[Local], order: int, h: float) -> None:
     """Find every block's next event within h; all series are about the start of a window."""
-    expansion, reach, due = run.work.expansion, run.work.search.reach, run.work.local.due
+    expansion, reach, due = run.work.expansion, run.work.expansion.reach, run.work.local.due
     series, mode, n, size = expansion.series, expansion.mode, len(expansion.mode), len(due) // 2
     zeros, side = expansion.zeros, expansion.side
     enclose(series, expansion.slips, order, h, reach, n)
@@ -354,7 +353,7 @@ def _pass_on_from(run: Run[Local], window: Window, block: int, span: tuple[float
 def _close(run: Run[Local], window: Window, s: float, block: int) -> None:
     """The state at the end of a window, and which blocks are to be decided there."""
     model, work, state = run.model, run.work, run.state
-    expansion, noise, v, order = work.expansion, work.search.near, model.belt_speed, window.order
+    expansion, noise, v, order = work.expansion, work.expansion.near, model.belt_speed, window.order
     z, w, n, power = state.z, state.w, len(state.z), window.span
     series, mode, touching = expansion.series, expansion.mode, expansion.touching
     for i in range(n):
@@ -404,7 +403,7 @@ def _pass_event(run: Run[Local], window: Window, block: int, span: tuple[float, 
 
 @inner
 def _carry(
-    run: Run[Local], opened: Opened, is_after_event: bool, precheck: Precheck, events: Events, n_recorded: int
+    run: Run[Local], opened: Opened, is_after_event: bool, events: Events, n_recorded: int
 ) -> tuple[Opened, int, bool]:
     """Go on to the end of the window, from event to event; see `frame.Way`."""
     model, work, goal, state = run.model, run.work, run.goal, run.state
@@ -437,7 +436,7 @@ def _carry(
                 n_recorded = record(run, (block, was), error, events, n_recorded)
                 course.note_event(clock, counters)
                 n_slip += abs(mode[block]) - abs(was)
-                is_asked = n_slip == n and course.is_check_due(state, mode, precheck, goal.t_end - t - s)
+                is_asked = n_slip == n and course.is_check_due(state, mode, run.precheck, goal.t_end - t - s)
                 goes_on = n_slip > 0 and not is_asked and n_recorded + n <= len(events.t)
     clock[course.ERROR] = error_after(model, expansion, goal, window, s, error_before)
     _close(run, window, s, block)
@@ -446,4 +445,4 @@ def _carry(
     return opened, n_recorded, False
 
 
-take = frame(Way(_blank, _open, note, _at, _carry))
+advance = frame(Way(_blank, _open, note, _at, _carry), __name__)
