@@ -133,7 +133,7 @@ def as_task(
     """The task for an engine; see `simulate`."""
     if not isinstance(system, System):
         raise TypeError(f"system: expected a sim.System, got {type(system).__name__}")
-    require_within(engine.takes | {"mass"}, system, f"engine={engine.name!r}")
+    require_within(engine.taken(), system, f"engine={engine.name!r}")
     t_start, t_end = number("t_start", t_start), number("t_end", t_end)
     if t_end < t_start:
         raise ValueError(f"t_end: expected a time not before t_start = {t_start}, got {t_end}")

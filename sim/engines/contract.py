@@ -167,7 +167,7 @@ class Engine(ABC):
     #: Whether its runs have `Run.stills`, from which the moments of episodes are.
     keeps_stills: ClassVar[bool] = False
     #: What it runs beyond eq. (10), by the names in `stickslip.sim.systems.system.BEYOND`; systems with anything else
-    #: there are refused, but for "mass": masses are divided out before.
+    #: there are refused. Masses are divided out before.
     takes: ClassVar[frozenset[str]] = frozenset()
 
     def __init_subclass__(cls) -> None:
@@ -196,6 +196,11 @@ class Engine(ABC):
         """Its tolerances, by name."""
         known = self.settings().items()
         return {name: getattr(self, name) for name, about in known if isinstance(about, Number) and about.picked}
+
+    @classmethod
+    def taken(cls) -> frozenset[str]:
+        """What systems that it is given may have beyond eq. (10)."""
+        return cls.takes | {"mass"}
 
     @classmethod
     @cache  # small systems run in a fraction of a millisecond

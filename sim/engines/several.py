@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 from itertools import groupby
-from threading import get_ident
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,12 +41,6 @@ class Slice(NamedTuple):
 
     status: int
     events: Events
-
-
-@lru_cache(maxsize=8)
-def _buffers(capacity: int, thread: int) -> Events:
-    """Those that runs of a thread share: for a small system they take longer to make than a run."""
-    return Events.blank(capacity)
 
 
 def kind_of(task: Task) -> tuple[int, bool, bool] | None:
@@ -146,7 +139,7 @@ class Several(ABC):
 
     def slice(self, k: int, bound: float) -> Slice:
         """Advance run k by a slice, or until its state passes a bound."""
-        events, slices = _buffers(self._capacity, get_ident()), np.zeros((1, 3), dtype=np.int64)
+        events, slices = Events.blank(self._capacity), np.zeros((1, 3), dtype=np.int64)
         self.bounds[k], self.states.counters[k, course.N_ALL_STUCK] = bound, 0
         self.advance(k, events, slices)
         status, n_recorded, n_all_stuck = slices[0].tolist()
@@ -166,11 +159,10 @@ class Several(ABC):
         """Run slices of the task k, from its start or from where its first slice ended, until the run ends."""
         task, drive, collapse, state = self.tasks[k], self.drives[k], self.collapse[k], self.state(k)
         z, w, mode, clock, counters, _ = state
-        divergence = _Divergence(task, drive)
         outcome: Outcome = "finished"
-        reason, t_collapse, n_placed, parts = "", None, 0, list[Events]()
+        reason, t_collapse, n_placed, parts, bound = "", None, 0, list[Events](), 0.0
         while True:
-            status, events = first_slice or self.slice(k, divergence.bound)
+            status, events = first_slice or self.slice(k, bound := bound or _first_bound(task))
             parts.append(events)
             first_slice, flow = None, None
             s = float(clock[course.TIME])
@@ -189,9 +181,11 @@ class Several(ABC):
             elif status == course.PAUSED and task.stop_early and drive.is_steady:
                 flow = self.settles(k)
             elif status == course.DIVERGED:
-                if why := divergence.reason(t, z, w):
+                why, size = _diverged(task, drive, t, z, w)
+                if why:
                     outcome, reason = "diverged", why
                     break
+                bound = max(_first_bound(task), 2.0 * size)
             elif status == course.STALLED:
                 block = counters[course.LAST_BLOCK]
                 raise StalledError(f"no progress at t = {t!r}, at block {block}: {self.stalled}")
@@ -294,44 +288,28 @@ def _may_be_touches(of_block: NDArray[np.intp], t: Floats, touch: Floats) -> NDA
     return order[1:][is_close]
 
 
-class _Divergence:
-    """Whether a run diverges; asked when its state passes a bound."""
+def _first_bound(task: Task) -> float:
+    """The size at which to ask first whether a run diverges."""
+    return float(certificates.escape_bounds([task.system], task.z0[np.newaxis], task.w0[np.newaxis])[0])
 
-    def __init__(self, task: Task, drive: Drive) -> None:
-        self._task, self._drive, self._passed = task, drive, 0.0
 
-    @cached_property
-    def _first(self) -> float:
-        task = self._task
-        return float(certificates.escape_bounds([task.system], task.z0[np.newaxis], task.w0[np.newaxis])[0])
-
-    @cached_property
-    def _beyond(self) -> float:
-        return certificates.divergence_bound(self._task.system, self._task.z0, self._task.w0)
-
-    @property
-    def bound(self) -> float:
-        """The size at which to ask next."""
-        return max(self._first, 2.0 * self._passed)
-
-    def reason(self, t: float, z: Floats, w: Floats) -> str:
-        """Why the run diverges; "" if that is not certain yet: the bound is then moved out."""
-        system, stop_early = self._task.system, self._task.stop_early
-        z_there, w_there = self._drive.of_user(t, z, w)
-        speed = float(np.abs(w_there).max())
-        size = max(float(np.abs(z).max()), float(np.abs(z_there).max()), speed)
-        is_past_doubt = stop_early and speed > self._beyond and not system.changes
-        if not np.isfinite((size, speed)).all():
-            raise IntegrationError(
-                f"the state is not finite after t = {t!r}: numbers of this size leave float64; scale the system"
-            )
-        if stop_early and (why := certificates.escape(system, z_there, w_there)):
-            return why
-        if size > certificates.BEYOND_NUMBERS or (is_past_doubt and certificates.grows(system)):
-            passed = certificates.BEYOND_NUMBERS if size > certificates.BEYOND_NUMBERS else self._beyond
-            return certificates.divergence_reason(z_there, w_there, t, min(size, passed))
-        self._passed = size
-        return ""
+def _diverged(task: Task, drive: Drive, t: float, z: Floats, w: Floats) -> tuple[str, float]:
+    """Why a run diverges whose state passed a bound, "" if that is not certain yet; and the size of its state."""
+    system, passed = task.system, certificates.BEYOND_NUMBERS
+    z_there, w_there = drive.of_user(t, z, w)
+    speed = float(np.abs(w_there).max())
+    size = max(float(np.abs(z).max()), float(np.abs(z_there).max()), speed)
+    if not np.isfinite((size, speed)).all():
+        raise IntegrationError(
+            f"the state is not finite after t = {t!r}: numbers of this size leave float64; scale the system"
+        )
+    if task.stop_early and (why := certificates.escape(system, z_there, w_there)):
+        return why, size
+    if size <= passed and task.stop_early and not system.changes:
+        beyond_doubt = certificates.divergence_bound(system, task.z0, task.w0)
+        if speed > beyond_doubt and certificates.grows(system):
+            passed = beyond_doubt
+    return certificates.divergence_reason(z_there, w_there, t, passed) if size > passed else "", size
 
 
 def _require_an_end(task: Task, n_steps: int, t: float) -> None:

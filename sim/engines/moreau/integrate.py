@@ -40,7 +40,8 @@ def integrate(task: Task, longest: float) -> Run:
     n_first = int(np.searchsorted(samples.t, task.t_start, side="right"))
     samples.z[:n_first], samples.w[:n_first], counters[N_SAMPLED] = z, w, n_first
     state = State(z, w, initial_mode.copy(), np.empty(0), counters, buffers)
-    work, events = Work(*np.empty((4, n)), np.empty(n, np.int64)), Events.blank(max(2 * n, 4096))
+    z_before, w_before, middle, pull = np.empty((4, n))
+    work, events = Work(z_before, w_before, middle, pull, np.empty(n, np.int64)), Events.blank(max(2 * n, 4096))
     if not initial_mode.any():
         events.all_stuck[:, 0] = 0, z.sum()
         counters[[IS_ALL_STUCK, N_ALL_STUCK]] = 1
