@@ -13,7 +13,7 @@ from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.forcing import BELT, GAIN, Forcing, Pieces
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats, Ints
-from stickslip.sim.numerics.arithmetic import copy, largest
+from stickslip.sim.numerics.arithmetic import copy
 
 Kind = TypeVar("Kind", bound=tuple[Any, ...])
 #: What each run has for itself: in a kernel a number, in a stack an array with a place for each run.
@@ -308,12 +308,6 @@ def count(pieces: Pieces, n_events: int, n_stuck: int) -> None:
     if here >= 0:
         pieces.counts[here, 0] += n_events
         pieces.counts[here, 1] += n_stuck
-
-
-@inner
-def is_within(state: State, bound: float) -> bool:
-    """Whether |z_i| and |w_i| are at most the bound; a maximum of floats may lose a NaN, so it is asked this way."""
-    return largest(state.z) <= bound and largest(state.w) <= bound
 
 
 @inner

@@ -16,6 +16,7 @@ from stickslip.sim.engines.stacks import Model, Stack, Work, note_slice, rest_of
 from stickslip.sim.kernels.compile import inner, kernel
 from stickslip.sim.kernels.emit import by_reference
 from stickslip.sim.numerics.arguments import Ints
+from stickslip.sim.numerics.arithmetic import largest
 
 
 class Goal(Protocol):
@@ -101,7 +102,8 @@ def frame(
                 return course.STALLED, n_recorded
             if goal.instant >= 0.0 and counters[course.N_REJECTED] == n_rejected:  # a rejected step is taken again
                 return course.DONE, n_recorded
-            if not course.is_within(state, goal.bound):
+            # a maximum of floats may lose a NaN, so it is asked this way
+            if not (largest(state.z) <= goal.bound and largest(state.w) <= goal.bound):
                 return course.DIVERGED, n_recorded
         return course.PAUSED, n_recorded
 

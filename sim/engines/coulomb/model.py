@@ -90,7 +90,6 @@ class Model(NamedTuple):
     belt_speed: Floats
     forcing: Forcing
     cross: Cross | None
-    carries: bool  #: whether events are carried over
 
     @classmethod
     def of(cls, systems: Sequence[System], drives: Sequence[Drive]) -> Model:
@@ -126,7 +125,6 @@ class Model(NamedTuple):
             belt,
             Forcing.none(m),
             None,
-            first.n >= control.CARRIED,
         )
 
 

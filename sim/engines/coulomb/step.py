@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 from stickslip.sim.engines import course
 from stickslip.sim.engines.coulomb import control
-from stickslip.sim.engines.coulomb.events import enclose, excluded, root
+from stickslip.sim.engines.coulomb.events import NEVER, enclose, next_event
 from stickslip.sim.engines.coulomb.expansion import Expansion
 from stickslip.sim.engines.coulomb.expansion import Window as Series
 from stickslip.sim.engines.coulomb.model import Model
@@ -59,18 +59,14 @@ class Window(NamedTuple):
 @inner
 def _first_event(model: Model, expansion: Expansion, order: int, h: float) -> tuple[float, int]:
     """Time to the first root of any event function within h, and its block; (h, -1) if there is none."""
-    series, mode, room = expansion.series, expansion.mode, (expansion.poly, expansion.places)
-    zeros, side, reach = expansion.zeros, expansion.side, expansion.reach
-    damping, static, closed, v = model.damping, model.static, model.closed, model.belt_speed
+    series, mode, zeros, side = expansion.series, expansion.mode, expansion.zeros, expansion.side
+    reach, block = expansion.reach, -1
     enclose(series, expansion.slips, order, h, reach, len(mode))
-    block = -1
     for i in range(len(mode)):
-        face, first = (mode[i], zeros[i], side[i]), (series[0, i], series[1, i], series[2, i])
-        bounds = v[i], damping[i] * v[i], static[i], closed[i]
-        if excluded(face, first, bounds, h, reach[i]):
-            continue
-        h, is_found = root(face, series, i, bounds, (order, h), room)
-        block = i if is_found else block
+        face = mode[i], zeros[i], side[i]
+        time = next_event(model, expansion, i, face, series, i, reach[i], (order, h))
+        if time < NEVER:
+            h, block = time, i
     return h, block
 
 
@@ -175,7 +171,7 @@ def _carry(
     of_series = Series(order, window.span, window.allowed, 0.0)
     clock[course.ERROR] = error_after(model, expansion, goal, of_series, age, window.error)
     is_linear = expansion.shape is None and not window.is_slow and model.cross is None
-    if block >= 0 and left > 0.0 and is_linear and model.carries:
+    if block >= 0 and left > 0.0 and is_linear and len(z) >= control.CARRIED:
         h = _pass_event(run, window, block, step, left)
         is_cut, is_open = window.is_cut or h < left, control.is_worth_using(clock, h)
     else:
