@@ -76,15 +76,7 @@ class _Waves(WaveformRuns):
 def run(task: Task, tol: float, followed: float, otherwise: Callable[[], Run]) -> Run:
     """Run a task, or `otherwise`: if the start is on the edge between two modes, or, a restart, if it stalls.
 
-    Parameters
-    ----------
-    task : Task
-    tol : float
-        Of a step.
-    followed : float
-        The error allowed in the motion after a collapse.
-    otherwise : callable
-        Runs it by series.
+    `tol` is that of a step, and `followed` the error allowed in the motion after a collapse.
     """
     waves = _Waves(task, tol, followed)
     if waves.is_on_edge:
