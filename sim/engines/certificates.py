@@ -393,8 +393,8 @@ class Collapse:
     A law with a peak, s(l) = l + c l (1 - l^2) of l = tanh x, curves down or up, but no more than the concave
     |1 - 2 c| l + c (3 l - l^3), whose deviation from its tangent bounds its own.
 
-    `allowed` is the error of the motion that is followed, and `cost` that of a certificate, in products of K; if it is
-    0, that is asked for whenever all blocks slip, see `course`.
+    `allowed` is the error of the motion that is followed, and `cost` that of a certificate, in products of K: if that
+    is 0, one is asked for whenever all blocks slip, see `course`.
     """
 
     def __init__(self, system: System, allowed: float, law: Smoothed | None = None, cost: float = 0.0) -> None:
