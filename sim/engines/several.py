@@ -208,8 +208,9 @@ class Several(ABC):
         t, s, block, mode = t[order], events.t[order], events.block[order], events.mode[order]
         series = []
         for d, modes in enumerate(self.initial_modes[k]):
-            own = block // n == d if self.thresholds else slice(None)
-            series.append(EventSeries(t[own], block[own] - d * n, mode[own], modes, t_start, t_end))
+            of_definition = block // n == d if self.thresholds else slice(None)
+            t_there, block_there, mode_there = t[of_definition], block[of_definition] - d * n, mode[of_definition]
+            series.append(EventSeries(t_there, block_there, mode_there, modes, t_start, t_end))
         touch = events.touch[order]
         # else no two events are that close, of whichever block
         if self.tells_touches and (s[1:] - s[:-1] <= touch[1:]).any():
