@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.numerics.arguments import Floats, apart, flag, floats, number, per_block
 from stickslip.sim.numerics.session import numpy_arithmetic
-from stickslip.sim.numerics.sparse import Columns, by_columns, is_sparse
+from stickslip.sim.numerics.sparse import by_columns, is_sparse
 from stickslip.sim.runs import show
 from stickslip.sim.runs.blocks import named, numbered
 from stickslip.sim.systems import graphs
@@ -402,11 +402,6 @@ class System:
             force=[term.scaled(share) for term in self.force],
         )
 
-    @cached_property
-    def columns(self) -> Columns:
-        """K by columns, the form in which the kernels stream it."""
-        return Columns.of(self.stiffness)
-
     @property
     def damping_matrix(self) -> Any:
         """C, dense or sparse, shape (n, n); R, shape (n,), where C is diagonal."""
@@ -664,14 +659,12 @@ def _with_sides(arguments: dict[str, Any], closed: NDArray[np.int8]) -> System:
 
 
 def work_out(systems: Sequence[System]) -> None:
-    """Compute `columns`, `row_sums`, `rates` of plain systems of one size together: one by one it takes longer."""
+    """Compute `row_sums` and `rates` of plain systems of one size together: one by one it takes longer."""
     stiffness = np.array([system.stiffness for system in systems])
-    none = np.empty(0, dtype=np.int32)
-    transposed, sums = np.array(stiffness.transpose(0, 2, 1), order="C"), abs(stiffness).sum(axis=2)
+    sums = abs(stiffness).sum(axis=2)
     own = np.abs([system.damping for system in systems]) + np.sqrt(sums)
     rates, is_tied = np.broadcast_to(own.max(axis=1, keepdims=True), own.shape), (stiffness != 0.0).all(axis=(1, 2))
     for k, system in enumerate(systems):
-        system.__dict__["columns"] = Columns(transposed[k], none, none, np.empty(0))
         system.__dict__["row_sums"] = sums[k]
         if is_tied[k]:  # else `rates` finds the connected components
             system.__dict__["rates"] = rates[k]

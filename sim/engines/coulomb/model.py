@@ -113,7 +113,7 @@ class Model(NamedTuple):
             none = np.empty((m, 0), np.int32)
             columns = Columns(np.array(dense.swapaxes(1, 2), order="C"), none, none, np.empty((m, 0)))
         else:
-            dense, columns = np.empty((m, 0, 0)), course.stack([first.columns])
+            dense, columns = np.empty((m, 0, 0)), course.stack([Columns.of(first.stiffness)])
         return cls(
             columns,
             Pairs.of(dense, row_sums),

@@ -19,6 +19,7 @@ from stickslip.sim.engines.course import (
 )
 from stickslip.sim.engines.moreau.step import BEYOND, Model, Work, advance, whole_steps
 from stickslip.sim.numerics.arguments import apart
+from stickslip.sim.numerics.sparse import Columns
 from stickslip.sim.runs.run import IntegrationError, Run, Stats, Stills
 from stickslip.sim.runs.series import EventSeries, part_of, without_returns
 
@@ -32,7 +33,8 @@ def integrate(task: Task, longest: float) -> Run:
     if (least := system.least_damping) * h <= -2.0:
         most, step = apart(-2.0 / least, longest)
         raise ValueError(f"step: expected less than {most}, 2 over the most negative damping, got {step}")
-    model = Model(system.columns, system.damping, system.friction, system.static, float(system.belt_speed))
+    columns, v = Columns.of(system.stiffness), float(system.belt_speed)
+    model = Model(columns, system.damping, system.friction, system.static, v)
     z, w = task.z0.copy(), task.w0.copy()
     initial_mode = np.sign(w - system.belt_speed).astype(np.int8)
     samples, counters = task.samples, np.zeros(N_COUNTERS, dtype=np.int64)
