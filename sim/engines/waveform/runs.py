@@ -55,17 +55,9 @@ class WaveformRuns(Several):
         """
         block = self.block
         changes = np.maximum(block.speed_before, np.abs(block.damping * block.u0 + block.force0)).max(axis=1)
-        steps = np.array(
-            [
-                min(length, control.LONGEST_FIRST, scale * control.first_step(tol, max(change, most)))
-                for length, change, most in zip(
-                    self.lengths.tolist(),
-                    changes.tolist(),
-                    (task.system.most_friction for task in self.tasks),
-                    strict=True,
-                )
-            ]
-        )
+        speeds = np.maximum(changes, [task.system.most_friction for task in self.tasks]).tolist()
+        firsts = [min(control.LONGEST_FIRST, scale * control.first_step(tol, speed)) for speed in speeds]
+        steps = np.minimum(self.lengths, firsts)
         self.states = course.State.at_start(self.tasks, modes[:, 0].copy(), [(step, 1.0, 0.0, 0.0) for step in steps])
         self.single_rates = control.single_rate(block.row_sum.max(axis=1)) / control.SINGLE_SHARE
         return steps
