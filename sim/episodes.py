@@ -102,7 +102,8 @@ def episodes(run: Run, belt_speed: ArrayLike | Piecewise) -> Episodes:
     slips = np.flatnonzero(series.mode != 0)
     leaves = slips[np.searchsorted(series.t[slips], start)]
     moment = np.where(travel > 0, -slip, slip)
-    return Episodes(start, end, _sizes(series, start, end), moment, series.block[leaves], stills.total[before])
+    size = np.bincount(_slipping(series, start, end)[0], minlength=len(start)).astype(np.int32)
+    return Episodes(start, end, size, moment, series.block[leaves], stills.total[before])
 
 
 class Clusters(NamedTuple):
@@ -236,13 +237,3 @@ def _stills(series: EventSeries) -> tuple[Floats, Floats]:
     t, n_stick = series.change_points()
     is_still = n_stick == series.n
     return t[is_still], np.append(t[1:], series.t_end)[is_still]
-
-
-def _sizes(series: EventSeries, start: Floats, end: Floats) -> NDArray[np.int32]:
-    """How many blocks slip in each of these spans, which do not overlap."""
-    slips = series.mode != 0
-    t, block = series.t[slips], series.block[slips]
-    span = np.searchsorted(start, t, side="right") - 1
-    inside = (span >= 0) & (t < np.append(end, np.inf)[span])
-    pairs = np.unique(span[inside] * series.n + block[inside])
-    return np.bincount(pairs // series.n, minlength=len(start)).astype(np.int32)

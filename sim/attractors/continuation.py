@@ -119,28 +119,6 @@ class Settled(NamedTuple):
             return bool((events.is_exit & (events.t > half)).any())
         return self.attractor.kind in _MOTIONS and bool(self.attractor.n_exits != 0)
 
-    @property
-    def is_proved(self) -> bool:
-        """Whether what it settles on would be the same after a longer run."""
-        return self.attractor.kind in _PROVED
-
-    @property
-    def impact(self) -> float:
-        """The least rate at which a block comes to its belt's speed, squared: 0 where it only touches it.
-
-        It falls along a line to where the cycle grazes.
-        """
-        cycle, unit = self.attractor, self.system.of_unit_mass
-        assert cycle.events is not None
-        assert cycle.states is not None
-        events = cycle.events
-        modes = events.modes_at(events.t)
-        numbers = np.arange(len(events))
-        modes[numbers, events.block] = events.previous_mode
-        entries = (events.mode == 0) & self.system.has_friction[events.block]
-        rates = slip_rates(unit, cycle.states, modes)[numbers, events.block][entries]
-        return float(np.min(rates**2, initial=math.inf))
-
 
 class Cause(StrEnum):
     """How the end of a motion along a key is known."""
@@ -263,7 +241,7 @@ class Trace:
 
     def end(self, high: float, following: Settled) -> End:
         """Between the place reached and one beyond it where something else follows."""
-        is_proved = following.is_proved
+        is_proved = following.attractor.kind in _PROVED
         if not self.cycles or self.last.attractor.kind in ("irregular", "torus"):
             return End(self.low, high, Cause.RUNS)
         known, cycle = self.cycles[-1]
@@ -287,7 +265,22 @@ def _to_one(settled: Settled) -> float:
 
 
 def _impact(settled: Settled) -> float:
-    return settled.impact if settled.attractor.kind == "periodic" else math.inf
+    """The least rate at which a block of a cycle comes to its belt's speed, squared: 0 where it only touches it.
+
+    It falls along a line to where the cycle grazes; infinite of what is no cycle.
+    """
+    cycle, system = settled.attractor, settled.system
+    if cycle.kind != "periodic":
+        return math.inf
+    assert cycle.events is not None
+    assert cycle.states is not None
+    events = cycle.events
+    modes = events.modes_at(events.t)
+    numbers = np.arange(len(events))
+    modes[numbers, events.block] = events.previous_mode
+    entries = (events.mode == 0) & system.has_friction[events.block]
+    rates = slip_rates(system.of_unit_mass, cycle.states, modes)[numbers, events.block][entries]
+    return float(np.min(rates**2, initial=math.inf))
 
 
 def _root(x: float, y: float, x_last: float, y_last: float) -> float:
@@ -301,19 +294,14 @@ def end_of_stability(system_at: Callable[[float], System]) -> float | None:
     `system_at` is as of `end_of_motion`.
     """
 
-    def rate(share: float) -> float | None:
+    def rate(share: float) -> float:
         mode = critical_mode(system_at(share))
-        return None if mode is None else mode.rate - RATE_ROUNDING
-
-    def known(share: float) -> float:
-        growth = rate(share)
-        assert growth is not None  # friction depends on the speed of a belt that changes at both ends, or at neither
-        return growth
+        return math.nan if mode is None else mode.rate - RATE_ROUNDING
 
     first, last = rate(0.0), rate(1.0)
-    if first is None or last is None or (first > 0.0) == (last > 0.0):
+    if math.isnan(first) or math.isnan(last) or (first > 0.0) == (last > 0.0):
         return None
-    return float(brentq(known, 0.0, 1.0, xtol=1e-9))
+    return float(brentq(rate, 0.0, 1.0, xtol=1e-9))
 
 
 def _time_of_phase(system: System, before: System, t: float) -> float:
@@ -347,13 +335,9 @@ def _at_end(run: Run) -> tuple[Floats, Floats, NDArray[np.bool_]]:
 
 def _on(attractor: Attractor, run: Run) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """The same on an attractor, at the event after which most blocks stick; without one at the end of the run."""
-    if (
-        attractor.kind != "periodic"
-        or attractor.events is None
-        or attractor.states is None
-        or len(attractor.events) == 0
-    ):
+    events, states = attractor.events, attractor.states
+    if not attractor.n_events or events is None or states is None:
         return _at_end(run)
-    sticks = attractor.events.modes_at(attractor.events.t) == 0
+    sticks = events.modes_at(events.t) == 0
     k = int(sticks.sum(axis=1).argmax())
-    return attractor.states.z[k], attractor.states.w[k], sticks[k]
+    return states.z[k], states.w[k], sticks[k]

@@ -73,19 +73,10 @@ def growth(
     follow: Follow,
     is_forced: bool,
 ) -> Growth | None:
-    """How fast runs from a state and from next to it part; None if the motion is too small to tell.
+    """How fast runs from a state, shape (n,), and from next to it part; None if the motion is too small to tell.
 
-    Parameters
-    ----------
-    system : System
-    z, w : float64, shape (n,)
-        The state.
-    modes : int8, shape (n,)
-    times : (float, float)
-        From the first to the second, or until they have parted, or come together, by e^30.
-    follow : Follow
-    is_forced : bool
-        Whether a force depends on time.
+    From the first of two times to the second, or until they have parted, or come together, by e^30. `is_forced` says
+    whether a force depends on time.
     """
     n, fastest = system.n, system.fastest_rate or 1.0
     t, end = times

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.numerics.variations import carry
+from stickslip.sim.numerics.variations import ORDER, carry
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.runs.series import EventSeries
 from stickslip.sim.systems.drive import Harmonic
@@ -224,10 +224,10 @@ class Path:
                     moved[:] = flow @ moved
             return
         drags, slips = _THROUGH @ self.system.kinetic_slope(self.slip), self.modes[1:][steps.segment] != 0
-        first_steps = np.searchsorted(steps.segment, np.arange(m + 1))
+        first_steps, series = np.searchsorted(steps.segment, np.arange(m + 1)), np.empty((ORDER + 1, *moved.shape))
         for k, (first, last) in enumerate(itertools.pairwise(first_steps.tolist())):
             yield k
-            carry(matrix[n:], drags[first:last], slips[first:last], steps.length[first:last], moved)
+            carry(matrix[n:], drags[first:last], slips[first:last], steps.length[first:last], moved, series)
 
 
 def _row(matrix: Any, i: int) -> Floats:

@@ -59,11 +59,7 @@ class Newton:
     def cycle(self, z: Floats, w: Floats, events: EventSeries) -> Near | None:
         """The cycle near a state at an entry or a crossing, if a run from that state is on its way to it; else None.
 
-        Parameters
-        ----------
-        z, w : float64, shape (n,)
-        events : EventSeries
-            From that state on, a round of them, those of its ends first, at time 0, and last.
+        `events` are a round of them from that state on, shape (n,), those of its ends first, at time 0, and last.
         """
         start, x, missed = np.concatenate([z, w]), np.concatenate([z, w]), math.inf
         round_, nearest, is_on_its_way = events, None, False

@@ -39,13 +39,7 @@ class _Event(NamedTuple):
 
 
 class Adiabatic:
-    """An exact engine whose belt waits; runs have `Run.loaded`.
-
-    Parameters
-    ----------
-    engine : Engine
-        Of the exact law, for the motion in events.
-    """
+    """An exact engine, for the motion in events, whose belt waits; runs have `Run.loaded`."""
 
     def __init__(self, engine: Engine) -> None:
         if not engine.is_exact:

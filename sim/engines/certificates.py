@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.engines.contract import Task
-from stickslip.sim.engines.precheck import Precheck
+from stickslip.sim.engines.course import Precheck
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.systems.once import once_a_system
 from stickslip.sim.systems.system import System
@@ -159,34 +159,30 @@ class _Sliding:
     rest: Floats
     bound: Floats
 
-    @classmethod
-    def of(cls, system: System) -> _Sliding | None:
-        """None if not all eigenmodes decay, or there is no state of rest."""
-        unit, speed = system.of_unit_mass, np.broadcast_to(np.abs(system.belt_speed_at(0.0)), system.n)
-        if system.weakening is None:
-            eigenmodes = _eigenmodes(unit)
-        else:
-            eigenmodes = _Eigenmodes(unit.slip_matrix(unit.kinetic_slope(speed)))
-        if not eigenmodes.decay:
-            return None
-        try:
-            rest = unit.rest_under(unit.kinetic(speed) * np.sign(system.belt_speed_at(0.0)))
-        except np.linalg.LinAlgError:
-            return None
-        bound = speed * _SHARES[:, np.newaxis]
-        if system.weakening is not None:
-            tangent = unit.kinetic_slope(speed) * bound
-            deviation = np.maximum(
-                *(np.abs(unit.kinetic(speed + s * bound) - unit.kinetic(speed) - s * tangent) for s in (-1, 1))
-            )
-            most = np.maximum.accumulate(deviation[::-1])[::-1]  # of all smaller |w|
-            bound = bound - _CERTAIN * most @ eigenmodes.response()[unit.n :].T
-        return cls(eigenmodes.sizes[unit.n :], eigenmodes.inverse, rest, bound)
-
 
 @once_a_system
 def _sliding(system: System) -> _Sliding | None:
-    return _Sliding.of(system)
+    """None if not all eigenmodes decay, or there is no state of rest."""
+    unit, speed = system.of_unit_mass, np.broadcast_to(np.abs(system.belt_speed_at(0.0)), system.n)
+    if system.weakening is None:
+        eigenmodes = _eigenmodes(unit)
+    else:
+        eigenmodes = _Eigenmodes(unit.slip_matrix(unit.kinetic_slope(speed)))
+    if not eigenmodes.decay:
+        return None
+    try:
+        rest = unit.rest_under(unit.kinetic(speed) * np.sign(system.belt_speed_at(0.0)))
+    except np.linalg.LinAlgError:
+        return None
+    bound = speed * _SHARES[:, np.newaxis]
+    if system.weakening is not None:
+        tangent = unit.kinetic_slope(speed) * bound
+        deviation = np.maximum(
+            *(np.abs(unit.kinetic(speed + s * bound) - unit.kinetic(speed) - s * tangent) for s in (-1, 1))
+        )
+        most = np.maximum.accumulate(deviation[::-1])[::-1]  # of all smaller |w|
+        bound = bound - _CERTAIN * most @ eigenmodes.response()[unit.n :].T
+    return _Sliding(eigenmodes.sizes[unit.n :], eigenmodes.inverse, rest, bound)
 
 
 @dataclass(frozen=True)
@@ -262,23 +258,9 @@ def _rise(x: Floats) -> Floats:
 class Smoothed:
     """What certificates need of the smoothed friction law under a belt: the same for all runs that have both.
 
-    Parameters
-    ----------
-    speed : float
-        |v| of the belt.
-    delta : ndarray, shape (n,)
-        Widths of the layer.
-    hidden : ndarray, shape (n,), optional
-        c of the law s(tanh x) with s = l + c l (1 - l^2); None for tanh x.
-    band, widest : float
-        Largest half-width of the layer around v in which a block sticks, by the run's own definition, and by any
-        definition whose events are recorded.
-
-    Attributes
-    ----------
-    is_one : bool
-        Whether all blocks have one law. `at_rest` and `slope`, friction at rest and its slope there, both over mu,
-        then have shape (1,), else (n,).
+    `speed` is |v|, `delta` has the widths of the layer, shape (n,), and `hidden` c of the law s(tanh x) with
+    s = l + c l (1 - l^2), shape (n,), or None for tanh x. A block sticks in a layer around v of the half-width `band`
+    at most, by the run's own definition, and `widest` by any whose events are recorded.
     """
 
     def __init__(
@@ -296,6 +278,7 @@ class Smoothed:
 
     @property
     def is_one(self) -> bool:
+        """Whether all blocks have one law: `at_rest` and `slope` then have shape (1,), else (n,)."""
         return len(self._laws[0]) == 1
 
     @cached_property
@@ -304,12 +287,14 @@ class Smoothed:
 
     @cached_property
     def at_rest(self) -> Floats:
+        """Friction at rest, over mu."""
         delta, c = self._laws
         lam = np.tanh(self.speed / delta)
         return np.asarray(lam + c * lam * self._rise)
 
     @cached_property
     def slope(self) -> Floats:
+        """The slope of friction there, over mu."""
         delta, c = self._laws
         return np.asarray(self._rise * (1.0 + c * (3.0 * self._rise - 2.0)) / delta)
 
@@ -350,15 +335,7 @@ class Settling:
     The motion is that linearised at rest, x' = A x, as long as friction deviates from its tangent by little. With
     |w_i| <= r by its eigenmodes, and rho_k the largest deviation of friction for |w_k| <= 2 r, that causes a w of at
     most B rho, as in `Collapse`; if that is below r, |w_i| <= 2 r for ever. Where no spring pulls z stays as it is.
-
-    Parameters
-    ----------
-    system : System
-    belt, force : float64, shape (n,)
-        Speeds of the belts, and external forces.
-    friction : Friction
-    allowed : float
-        Error allowed in the motion that is followed.
+    Speeds of the belts, and external forces, have shape (n,); `allowed` is the error of the motion that is followed.
     """
 
     def __init__(self, system: System, belt: Floats, force: Floats, friction: Friction, allowed: float) -> None:
@@ -416,15 +393,8 @@ class Collapse:
     A law with a peak, s(l) = l + c l (1 - l^2) of l = tanh x, curves down or up, but no more than the concave
     |1 - 2 c| l + c (3 l - l^3), whose deviation from its tangent bounds its own.
 
-    Parameters
-    ----------
-    system : System
-    allowed : float
-        Error allowed in the motion that is followed.
-    law : Smoothed, optional
-        None for the Coulomb law.
-    cost : float
-        What a certificate costs, in products of K; 0: it is asked for whenever all blocks slip, see `course`.
+    `allowed` is the error of the motion that is followed, and `cost` that of a certificate, in products of K: if that
+    is 0, one is asked for whenever all blocks slip, see `course`.
     """
 
     def __init__(self, system: System, allowed: float, law: Smoothed | None = None, cost: float = 0.0) -> None:
@@ -459,9 +429,9 @@ class Collapse:
         if flow is not None or wanted <= 0 or reach < wanted:
             return Certificate(bool(reason), reason, flow)
         if not reason and limit >= limit_of_flow:
-            self.precheck = Precheck.of(
-                eigenmodes.inverse, eigenmodes.sizes[n:], rest, self.precheck.slip, limit, eigenmodes.growth
-            )
+            inverse, slip, room = eigenmodes.inverse, self.precheck.slip, np.empty(2 * n)
+            parts = np.array([inverse.real, inverse.imag])
+            self.precheck = Precheck(parts, eigenmodes.sizes[n:], rest, slip, limit, eigenmodes.growth, 0.0, room)
         # the slowest eigenmode must decay from `reach` to what is wanted: no use in asking much earlier
         return Certificate(bool(reason), reason, None, 0.25 * math.log(reach / wanted) / -eigenmodes.growth)
 

@@ -30,7 +30,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stickslip.sim.numerics.arguments import Floats, floats, number, per_block
+from stickslip.sim.numerics.arguments import Floats, floats, number
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.systems.system import System
 
@@ -136,22 +136,12 @@ class Ratios(Setting):
     """
 
     def checked(self, name: str, value: ArrayLike) -> ArrayLike:
-        return value  # `for_blocks` checks it against a system
-
-    @staticmethod
-    def for_blocks(name: str, value: ArrayLike, n: int) -> Floats:
-        """The ratio of each of n blocks, shape (n,), from the setting."""
-        return per_block(name, value, n, "r_i > 0")
+        return value  # it is checked against a system
 
 
 def setting(default: Any, about: Setting) -> Any:
     """A field of an engine."""
     return field(default=default, metadata={"setting": about})
-
-
-@cache  # small systems run in a fraction of a millisecond
-def _settings(engine: type[Engine]) -> dict[str, Setting]:
-    return {field.name: field.metadata["setting"] for field in fields(engine)}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -213,9 +203,10 @@ class Engine(ABC):
         return cls.takes | {"mass"}
 
     @classmethod
+    @cache  # small systems run in a fraction of a millisecond
     def settings(cls) -> dict[str, Setting]:
         """The settings, by name."""
-        return _settings(cls)
+        return {field.name: field.metadata["setting"] for field in fields(cls)}
 
     @classmethod
     def defaults(cls) -> dict[str, Any]:

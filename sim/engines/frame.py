@@ -12,11 +12,11 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from stickslip.sim.engines import course
 from stickslip.sim.engines.course import Events
-from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.engines.stacks import Model, Stack, Work, note_slice, rest_of, run_of
-from stickslip.sim.kernels.compile import inner
+from stickslip.sim.kernels.compile import inner, kernel
 from stickslip.sim.kernels.emit import by_reference
 from stickslip.sim.numerics.arguments import Ints
+from stickslip.sim.numerics.arithmetic import largest
 
 
 class Goal(Protocol):
@@ -55,27 +55,25 @@ class Way(NamedTuple, Generic[Model, Work, Aim, Window]):
     """Record the modes that have changed, behind so many events; the number, and whether all are the same."""
     at: Callable[[Stack[Model, Work, Aim, int], Window, float], None]
     """Keep the samples at a time, where a run of no length ends."""
-    carry: Callable[[Stack[Model, Work, Aim, int], Window, bool, Precheck, Events, int], tuple[Window, int, bool]]
-    """``(..., is_after_event, precheck, events, n_recorded)``: go on to the next event, or to the end of the window,
+    carry: Callable[[Stack[Model, Work, Aim, int], Window, bool, Events, int], tuple[Window, int, bool]]
+    """``(..., is_after_event, events, n_recorded)``: go on to the next event, or to the end of the window,
     with the samples on the way. Returns the window, how many events are recorded, and if there is no progress."""
     enter: Callable[[Stack[Model, Work, Aim, int]], None] = _nothing
     """Begin a piece, whose numbers are there, as is the state in its frame."""
 
 
 def frame(
-    way: Way[Model, Work, Aim, Window],
-) -> Callable[[Stack[Model, Work, Any, Ints], Events, Precheck, int, Ints], None]:
-    """For kernels, ``f(stack, events, precheck, first, slices)``: advance runs of a `Stack`, from the first on.
+    way: Way[Model, Work, Aim, Window], module: str
+) -> Callable[[Stack[Model, Work, Any, Ints], Events, int, Ints], None]:
+    """The kernel ``f(stack, events, first, slices)``: advance runs of a `Stack`, from the first on.
 
     Why each ended, and what it recorded, is put into a row of `slices`: see `Several.advance`. A second call goes on
-    from there.
+    from there. It is kept as one of a module.
     """
     blank, open_next, note, at, carry, enter = way
 
     @inner
-    def take(
-        run: Stack[Model, Work, Aim, int], events: Events, precheck: Precheck, n_recorded: int, n_last: int
-    ) -> tuple[int, int]:
+    def take(run: Stack[Model, Work, Aim, int], events: Events, n_recorded: int, n_last: int) -> tuple[int, int]:
         goal, state, window = run.goal, run.state, blank()
         clock, counters = state.clock, state.counters
         while course.n_tried(counters) < n_last:
@@ -90,8 +88,8 @@ def frame(
             if remaining <= 0.0:
                 at(run, window, clock[course.TIME])
                 return course.DONE, n_recorded
-            if same and course.is_check_due(state, state.mode, precheck, remaining):
-                if course.may_collapse(state, run.slip, precheck):
+            if same and course.is_check_due(state, state.mode, run.precheck, remaining):
+                if course.may_collapse(state, run.slip, run.precheck):
                     return course.ALL_SLIP, n_recorded
                 if n_recorded > 0:
                     return course.PAUSED, n_recorded
@@ -99,19 +97,17 @@ def frame(
                 n_last, window = course.n_tried(counters) + course.STEPS_A_SLICE, blank()
                 continue
             n_rejected = counters[course.N_REJECTED]
-            window, n_recorded, stalls = carry(run, window, n_recorded > before, precheck, events, n_recorded)
+            window, n_recorded, stalls = carry(run, window, n_recorded > before, events, n_recorded)
             if stalls:
                 return course.STALLED, n_recorded
             if goal.instant >= 0.0 and counters[course.N_REJECTED] == n_rejected:  # a rejected step is taken again
                 return course.DONE, n_recorded
-            if not course.is_within(state, goal.bound):
+            # a maximum of floats may lose a NaN, so it is asked this way
+            if not (largest(state.z) <= goal.bound and largest(state.w) <= goal.bound):
                 return course.DIVERGED, n_recorded
         return course.PAUSED, n_recorded
 
-    @inner
-    def take_all(
-        stack: Stack[Model, Work, Any, Ints], events: Events, precheck: Precheck, first: int, slices: Ints
-    ) -> None:
+    def advance(stack: Stack[Model, Work, Any, Ints], events: Events, first: int, slices: Ints) -> None:
         for row in range(len(slices)):
             k, counters, lengths = first + row, stack.state.counters[first + row], stack.goal.t_end
             buffers = by_reference(rest_of(events, slices, row))
@@ -124,10 +120,11 @@ def frame(
                     enter(run)
                     run = by_reference(run_of(stack, k))
                 n_before, n_stuck = n_recorded, counters[course.N_ALL_STUCK]
-                status, n_recorded = take(run, buffers, by_reference(precheck), n_recorded, n_last)
+                status, n_recorded = take(run, buffers, n_recorded, n_last)
                 course.count(pieces, n_recorded - n_before, counters[course.N_ALL_STUCK] - n_stuck)
                 if status != course.DONE or pieces.n_ahead[0] == 0:
                     break
             note_slice(slices, row, status, n_recorded, counters)
 
-    return take_all
+    advance.__module__, advance.__qualname__ = module, advance.__name__
+    return kernel(advance)

@@ -56,15 +56,7 @@ def has_kernel(package: str) -> bool:
 
 
 class CacheFiles:
-    """Things on disk, each in a file named by its key.
-
-    Parameters
-    ----------
-    directory : Path
-        `cache_directory()`.
-    name : str
-        What files begin with.
-    """
+    """Things on disk, each in a file that begins with a name and is named by its key."""
 
     def __init__(self, directory: Path, name: str) -> None:
         self._directory, self._name = directory, name

@@ -7,8 +7,8 @@ Decisions, and why:
   vector width; an ensemble is parallel over members, never inside one.
 - ``error_model="numpy"``: a division needs no branch; kernels check their own denominators.
 - kernels count no references to arrays, an atomic operation for each array of each tuple that is passed on, a third
-  of the exact engine's time. Python holds all arrays. A function that makes an array, or takes one from a tuple by
-  its number, must count: ``counts=True`` (or, for small arrays, `arithmetic.room`).
+  of the exact engine's time. Python holds all arrays: a kernel makes none, but small ones by `arithmetic.room`, and
+  takes none from a tuple by its number.
 - only a kernel is optimised and compiled to machine code, with all that is linked into it: numba would do both for
   every function that it calls, which is half of the time of a cold start. What is linked into it is called from
   there alone, and LLVM is told so.
@@ -27,8 +27,7 @@ import hashlib
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
-from typing import Any, TypeVar, overload
+from typing import Any, TypeVar
 
 import numba
 import numpy as np
@@ -43,8 +42,8 @@ from stickslip.sim.kernels.emit import IS_COMPILED, is_reference
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def _jit(function: Callable[..., Any], counts: bool, **options: Any) -> Any:
-    policy: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": counts}
+def _jit(function: Callable[..., Any], **options: Any) -> Any:
+    policy: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": False}
     return numba.njit(**policy, **options)(function)
 
 
@@ -175,21 +174,15 @@ def _warn_uncached(error: OSError) -> None:
     )
 
 
-@overload
-def inner(function: Function) -> Function: ...
-@overload
-def inner(*, counts: bool) -> Callable[[Function], Function]: ...
-def inner(function: Callable[..., Any] | None = None, *, counts: bool = False) -> Any:
+def inner(function: Function) -> Function:
     """Compile a function of numbers and arrays that kernels call, and Python cannot.
 
     It becomes part of each `kernel` that needs it, without a wrapper for Python, machine code or a file of its own,
     which take time. numba takes types from calls; annotations are for readers, and for mypy, which checks calls.
     """
-    if function is None:
-        return partial(inner, counts=counts)
     if not IS_COMPILED:
         return function
-    compiled = _jit(function, counts, no_cpython_wrapper=True, pipeline_class=_PartCompiler)
+    compiled = _jit(function, no_cpython_wrapper=True, pipeline_class=_PartCompiler)
     template = compiled.get_call_template
     # numba would compile it for each literal number in a call
     compiled.get_call_template = lambda args, kws: template([types.unliteral(kind) for kind in args], kws)
@@ -222,16 +215,10 @@ def one_of(functions: Sequence[Callable[..., Any]]) -> Any:
     return choose
 
 
-@overload
-def kernel(function: Function) -> Function: ...
-@overload
-def kernel(*, counts: bool) -> Callable[[Function], Function]: ...
-def kernel(function: Callable[..., Any] | None = None, *, counts: bool = False) -> Any:
+def kernel(function: Function) -> Function:
     """Compile a function of numbers and arrays that Python calls, with all that it calls, and keep it on disk."""
-    if function is None:
-        return partial(kernel, counts=counts)
     if not IS_COMPILED:
         return np.errstate(all="ignore")(function)  # numbers as machine code has them
-    compiled = _jit(function, counts, pipeline_class=_KernelCompiler)
+    compiled = _jit(function, pipeline_class=_KernelCompiler)
     compiled._cache = _KernelCache(function)
     return compiled

@@ -183,17 +183,48 @@ class Cell:
         self._builder.store(lane.value, self._place)
 
 
-class ByName:
-    """A table: an `array`, shape (..., rows, columns), whose rows have names."""
+#: One row, or one a node: what a table declares its names by.
+Row = Any
+Nodes = Any
+
+
+class Table:
+    """The rows of an `array` by name: a view, shape (..., columns), or (..., nodes, columns) of those one a node.
+
+    A subclass declares them in their order, each as a `Row` or as `Nodes`. It stays one array of two dimensions: it
+    is passed as one, and vectors of neighbouring columns are read at once.
+    """
 
     #: The first row of each name, and the number of its rows; 0: one, a vector.
     places: ClassVar[dict[str, tuple[int, int]]]
+    n_rows: ClassVar[int]
+
+    def __init_subclass__(cls, nodes: int) -> None:
+        cls.places, cls.n_rows = {}, 0
+        for name, kind in cls.__annotations__.items():
+            count = nodes if kind == "Nodes" else 0
+            cls.places[name] = first, _ = cls.n_rows, count
+            cls.n_rows += max(count, 1)
+            setattr(cls, name, _rows_of(slice(first, first + count) if count else first))
 
     def __init__(self, array: NDArray[Any]) -> None:
         self.array = array
 
 
-Kind = TypeVar("Kind", bound=ByName)
+def _rows_of(rows: int | slice) -> property:
+    """Of a table, these rows: read as a view, assigned to in place."""
+    index = ..., rows, slice(None)
+
+    def get(table: Table) -> Any:
+        return table.array[index]
+
+    def assign(table: Table, value: Any) -> None:
+        table.array[index] = value
+
+    return property(get, assign)
+
+
+Kind = TypeVar("Kind", bound=Table)
 
 
 class View(NamedTuple):
@@ -309,7 +340,7 @@ class _Plain:
 
     def argument(self, value: Any) -> Any:
         match value:
-            case ByName():
+            case Table():
                 return View(value.places, cast(Array, _PlainArray(value.array)))
             case np.ndarray():
                 return _PlainArray(value)
@@ -493,7 +524,7 @@ by_reference: Any = intrinsic(_refer) if IS_COMPILED else lambda whole: whole
 class Named(types.Type):
     """An array whose rows have names, in a kernel."""
 
-    def __init__(self, table: type[ByName], array: types.Array) -> None:
+    def __init__(self, table: type[Table], array: types.Array) -> None:
         self.places, self.array = table.places, array
         super().__init__(name=f"{table.__name__}({array})")
 

@@ -48,29 +48,17 @@ def _pass(n_levels: int, width: int, in_place: bool) -> Any:
 
 
 def _all_levels(width: int) -> Any:
-    """``f(rows, target, i, order, steps)``: the whole scheme, in place, for `width` blocks from i on."""
+    """As `_pass`, in place, of all levels from k on."""
     several, single = _pass(_LEVELS, width, True), _pass(1, width, True)
 
     @inner
-    def apply(rows: Floats, target: Floats, i: int, order: int, steps: Floats) -> None:
-        k = 0
+    def apply(rows: Floats, target: Floats, i: int, k: int, order: int, steps: Floats) -> None:
         while k + _LEVELS <= order:
             several(rows, target, i, k, order, steps)
             k += _LEVELS
         while k < order:
             single(rows, target, i, k, order, steps)
             k += 1
-
-    return apply
-
-
-def _two_levels(width: int) -> Any:
-    """As `_all_levels`, of two levels, into two rows of `target`."""
-    two = _pass(2, width, False)
-
-    @inner
-    def apply(rows: Floats, target: Floats, i: int, order: int, steps: Floats) -> None:
-        two(rows, target, i, 0, order, steps)
 
     return apply
 
@@ -83,16 +71,17 @@ def _over_columns(parts: list[Any]) -> Any:
     def apply(rows: Floats, target: Floats, first: int, last: int, order: int, steps: Floats) -> None:
         by_wide, by_narrow = last - (last - first) % wide, last - (last - first) % narrow
         for i in range(first, by_wide, wide):
-            of_wide(rows, target, i, order, steps)
+            of_wide(rows, target, i, 0, order, steps)
         for i in range(by_wide, by_narrow, narrow):
-            of_narrow(rows, target, i, order, steps)
+            of_narrow(rows, target, i, 0, order, steps)
         for i in range(by_narrow, last):
-            of_one(rows, target, i, order, steps)
+            of_one(rows, target, i, 0, order, steps)
 
     return apply
 
 
-_shift, _values = _over_columns([*map(_all_levels, _WIDTHS)]), _over_columns([*map(_two_levels, _WIDTHS)])
+_shift = _over_columns([_all_levels(width) for width in _WIDTHS])
+_values = _over_columns([_pass(2, width, False) for width in _WIDTHS])
 
 
 @inner

@@ -95,11 +95,6 @@ def products(n_vectors: int, single: bool = False) -> Any:
     return apply
 
 
-def pair_products(single: bool = False) -> Any:
-    """As `listed_products`, of two, with panels of `PAIR_HEIGHT` and float64, or `SINGLE_PAIR_HEIGHT` and float32."""
-    return listed_products(2, SINGLE_PAIR_HEIGHT if single else PAIR_HEIGHT, single)
-
-
 def listed_products(n_vectors: int, height: int, single: bool) -> Any:
     """For kernels: ``f(panels, x, y, columns, m)``, as `products`, but over the first m columns listed.
 

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats, Ints
-from stickslip.sim.numerics.panels import PAIR_HEIGHT, SINGLE_PAIR_HEIGHT, pair_products, panels
+from stickslip.sim.numerics.panels import PAIR_HEIGHT, SINGLE_PAIR_HEIGHT, listed_products, panels
 from stickslip.sim.numerics.sparse import Columns
 
-_pair, _single_pair = pair_products(), pair_products(single=True)
+_pair, _single_pair = listed_products(2, PAIR_HEIGHT, False), listed_products(2, SINGLE_PAIR_HEIGHT, True)
 #: Systems of fewer blocks gain nothing from float32; row sums beyond this, or below its inverse, may leave its range.
 _SMALL, _LARGE = 48, 1e30
 

@@ -7,23 +7,27 @@ from numpy.typing import NDArray
 
 from stickslip.sim.kernels.compile import kernel
 from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.arithmetic import copy
 
 #: Terms of the series of a step.
-_ORDER = 14
+ORDER = 14
 
 
-@kernel(counts=True)
-def carry(pull: Floats, drags: Floats, slips: NDArray[np.bool_], lengths: Floats, moved: Floats) -> None:
+@kernel
+def carry(
+    pull: Floats, drags: Floats, slips: NDArray[np.bool_], lengths: Floats, moved: Floats, series: Floats
+) -> None:
     """Carry deviations (z, w), the columns of `moved`, shape (2n, m), over steps in place, by their Taylor series.
 
     Of a block that slips, z' = w and w' = A (z, w) - d w; else w' = 0. A is `pull`, shape (n, 2n), and d, by powers
-    of the share of a step that is over, `drags`, shape (steps, powers, n).
+    of the share of a step that is over, `drags`, shape (steps, powers, n). `series` is workspace, shape (ORDER + 1,
+    2n, m).
     """
     n, m = len(pull), moved.shape[1]
-    series = np.empty((_ORDER + 1, 2 * n, m))
     for q in range(len(lengths)):
-        series[0] = moved
-        for order in range(1, _ORDER + 1):
+        for i in range(2 * n):
+            copy(moved[i], series[0, i])
+        for order in range(1, ORDER + 1):
             share, last, term = lengths[q] / order, series[order - 1], series[order]
             for i in range(n):
                 z, w = term[i], term[n + i]

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.numerics.arguments import Floats, apart, flag, floats, number, per_block
 from stickslip.sim.numerics.session import numpy_arithmetic
-from stickslip.sim.numerics.sparse import Columns, by_columns, is_sparse
+from stickslip.sim.numerics.sparse import by_columns, is_sparse
 from stickslip.sim.runs import show
 from stickslip.sim.runs.blocks import named, numbered
 from stickslip.sim.systems import graphs
@@ -132,36 +132,21 @@ class System:
         back_slip: bool = True,
         names: Sequence[str] = (),
     ) -> None:
-        if is_sparse(stiffness):
-            matrix = by_columns("stiffness", stiffness)
-            entries = matrix.data
-        else:
-            matrix = floats("stiffness", stiffness, "a square matrix of numbers")
-            entries = matrix
-        if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.shape[0] == 0:
-            raise ValueError(f"stiffness: expected a square matrix, got shape {matrix.shape}")
-        if not np.isfinite(entries).all():
-            raise ValueError("stiffness: expected finite entries, got NaN or infinity")
-        entries.flags.writeable = False
+        matrix = _matrix("stiffness", stiffness, "a square matrix")
         n = matrix.shape[0]
         for name, value in (("friction", friction), ("static", static), ("mass", mass)):
             _require_constant(name, value)
         mu = per_block("friction", friction, n, "mu >= 0")
-        object.__setattr__(self, "stiffness", matrix)
         diagonal, cross = _damping(damping, n)
-        object.__setattr__(self, "damping", diagonal)
-        object.__setattr__(self, "cross_damping", cross)
-        object.__setattr__(self, "friction", mu)
-        object.__setattr__(self, "belt_speed", belt(belt_speed, n))
-        object.__setattr__(self, "has_static", static is not None)
-        object.__setattr__(self, "weakening", _weakening(weakening, static))
-        object.__setattr__(self, "static", _static(static, mu, self.weakening))
+        values = vars(self)
+        values.update(stiffness=matrix, damping=diagonal, cross_damping=cross, friction=mu)
+        values.update(belt_speed=belt(belt_speed, n), has_static=static is not None)
+        values.update(weakening=_weakening(weakening, static))
+        values.update(static=_static(static, mu, self.weakening))
         if self.weakening is not None:
             self.weakening.require_friction(*self.slip_friction)
-        object.__setattr__(self, "mass", per_block("mass", mass, n, "m > 0"))
-        object.__setattr__(self, "force", forces(force, n))
-        object.__setattr__(self, "closed", _closed(back_slip, self.belt_speed, n))
-        object.__setattr__(self, "names", named(names, n))
+        values.update(mass=per_block("mass", mass, n, "m > 0"), force=forces(force, n))
+        values.update(closed=_closed(back_slip, self.belt_speed, n), names=named(names, n))
 
     @classmethod
     def from_physical(
@@ -416,11 +401,6 @@ class System:
             mass=1.0,
             force=[term.scaled(share) for term in self.force],
         )
-
-    @cached_property
-    def columns(self) -> Columns:
-        """K by columns, the form in which the kernels stream it."""
-        return Columns.of(self.stiffness)
 
     @property
     def damping_matrix(self) -> Any:
@@ -679,14 +659,12 @@ def _with_sides(arguments: dict[str, Any], closed: NDArray[np.int8]) -> System:
 
 
 def work_out(systems: Sequence[System]) -> None:
-    """Compute `columns`, `row_sums`, `rates` of plain systems of one size together: one by one it takes longer."""
+    """Compute `row_sums` and `rates` of plain systems of one size together: one by one it takes longer."""
     stiffness = np.array([system.stiffness for system in systems])
-    none = np.empty(0, dtype=np.int32)
-    transposed, sums = np.array(stiffness.transpose(0, 2, 1), order="C"), abs(stiffness).sum(axis=2)
+    sums = abs(stiffness).sum(axis=2)
     own = np.abs([system.damping for system in systems]) + np.sqrt(sums)
     rates, is_tied = np.broadcast_to(own.max(axis=1, keepdims=True), own.shape), (stiffness != 0.0).all(axis=(1, 2))
     for k, system in enumerate(systems):
-        system.__dict__["columns"] = Columns(transposed[k], none, none, np.empty(0))
         system.__dict__["row_sums"] = sums[k]
         if is_tied[k]:  # else `rates` finds the connected components
             system.__dict__["rates"] = rates[k]
@@ -844,33 +822,33 @@ def _closed(back_slip: bool, belt_speed: Any, n: int) -> NDArray[np.int8]:
     return goes
 
 
+def _matrix(name: str, value: Any, expected: str, n: int | None = None) -> Any:
+    """A square matrix of finite numbers, dense or CSC, of n rows if n is given."""
+    matrix = by_columns(name, value) if is_sparse(value) else floats(name, value, f"{expected} of numbers")
+    rows = matrix.shape[0] if n is None and matrix.ndim == 2 else n
+    if matrix.shape != (rows, rows) or rows == 0:
+        raise ValueError(f"{name}: expected {expected}, got shape {matrix.shape}")
+    entries = matrix if isinstance(matrix, np.ndarray) else matrix.data
+    if not np.isfinite(entries).all():
+        raise ValueError(f"{name}: expected finite entries, got NaN or infinity")
+    entries.flags.writeable = False
+    return matrix
+
+
 def _damping(damping: Any, n: int) -> tuple[Floats, Any]:
     """R and N, from a damping given as a number, by block, or as a matrix."""
-    if is_sparse(damping):
-        return _sparse_damping(damping, n)
-    cross = floats("damping", damping, f"a number, {n} numbers or a matrix")
-    if cross.ndim != 2:
-        return per_block("damping", cross, n), None
-    if cross.shape != (n, n):
-        raise ValueError(f"damping: expected a matrix of shape ({n}, {n}), got shape {cross.shape}")
-    if not np.isfinite(cross).all():
-        raise ValueError("damping: expected finite entries, got NaN or infinity")
-    diagonal = per_block("damping", np.diag(cross), n)
-    np.fill_diagonal(cross, 0.0)
-    cross.flags.writeable = False
-    return diagonal, cross if cross.any() else None
-
-
-def _sparse_damping(damping: Any, n: int) -> tuple[Floats, Any]:
-    """R and N from a sparse C."""
+    if not is_sparse(damping):
+        damping = floats("damping", damping, f"a number, {n} numbers or a matrix")
+        if damping.ndim != 2:
+            return per_block("damping", damping, n), None
+    whole = _matrix("damping", damping, f"a matrix of shape ({n}, {n})", n)
+    diagonal = per_block("damping", whole.diagonal(), n)
+    if isinstance(whole, np.ndarray):
+        cross = whole - np.diag(diagonal)
+        cross.flags.writeable = False
+        return diagonal, cross if cross.any() else None
     from scipy.sparse import csc_array, diags_array
 
-    if damping.shape != (n, n):
-        raise ValueError(f"damping: expected a matrix of shape ({n}, {n}), got shape {damping.shape}")
-    whole = by_columns("damping", damping)
-    if not np.isfinite(whole.data).all():
-        raise ValueError("damping: expected finite entries, got NaN or infinity")
-    diagonal = per_block("damping", whole.diagonal(), n)
     cross = csc_array(whole - diags_array(diagonal))
     cross.eliminate_zeros()
     cross.data.flags.writeable = False

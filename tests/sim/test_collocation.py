@@ -40,11 +40,11 @@ def test_the_method_by_its_definition(rng):
 @pytest.mark.parametrize("single", [False, True])
 def test_products_in_panels_are_plain_products(single, rng):
     """Of five vectors, and of a pair over the columns listed."""
-    multiply, of_pair = panels.products(5, single), panels.pair_products(single)
+    of_pairs = panels.SINGLE_PAIR_HEIGHT if single else panels.PAIR_HEIGHT
+    multiply, of_pair = panels.products(5, single), panels.listed_products(2, of_pairs, single)
     all_of = numba.njit(lambda k, x, y: multiply(k, x, y))
     listed_of = numba.njit(lambda k, x, y, columns, m: of_pair(k, x, y, columns, m))
     dtype, height = (np.float32, panels.SINGLE_HEIGHT) if single else (np.float64, panels.HEIGHT)
-    of_pairs = panels.SINGLE_PAIR_HEIGHT if single else panels.PAIR_HEIGHT
     for n in (1, 7, 33, 200):
         matrix, width, atol = rng.normal(size=(n, n)), -(-n // 16) * 16, n * (1e-5 if single else 1e-14)
         x, y = np.zeros((5, width), dtype), np.zeros((5, width), dtype)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from stickslip import draw_system, simulate
-from stickslip.sim.engines import stacks
+from stickslip.sim.engines import several
 from stickslip.sim.kernels import cache as kept
 from stickslip.sim.kernels import compile as compiling
 from stickslip.sim.kernels import digest
@@ -186,8 +186,8 @@ def test_plain_systems_of_any_size_are_of_one_type(engine, monkeypatch):
         kinds.add(tuple(map(numba.typeof, arguments)))
         return code
 
-    monkeypatch.setattr(stacks, "_CODE", {})
-    monkeypatch.setattr(stacks, "code_of", code_of)
+    monkeypatch.setattr(several, "_CODE", {})
+    monkeypatch.setattr(several, "code_of", code_of)
     for n in (1, 2, 3, 4, 5, 8, 9):
         systems = [draw_system("antisymmetric", n, seed) for seed in range(3)]
         kind = as_engine(engine, {})

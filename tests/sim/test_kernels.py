@@ -143,7 +143,7 @@ def test_arrays_begin_with_a_line_of_the_cache(shape, dtype):
     assert all(one.shape == shape and one.dtype == dtype and not one.any() for one in kept)
 
 
-PLAIN = namedtuple("PLAIN", "weakening shape")(None, None)  # what is asked of a model and of an expansion
+PLAIN = namedtuple("PLAIN", "shape")(None)  # what is asked of an expansion
 
 
 @numba.njit

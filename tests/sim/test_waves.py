@@ -140,14 +140,14 @@ def test_the_error_is_a_small_share_of_the_tolerance_where_damping_fades_it():
 @pytest.mark.parametrize(("damping", "tol"), [(0.02, 1e-3), (1.0, 1e-5)])
 def test_touches_are_told_by_an_error_that_is_that_of_the_run(damping, tol, monkeypatch, rng):
     """The median of eight runs: it was 0.4 to 1.7 of the estimate; `tol` itself is 0.3 to 5 times the error."""
-    shares, errors, complete = [], [], course.complete
+    shares, errors, go_on = [], [], waves._Waves.go_on
 
-    def keeping(task, state, *args):
-        run = complete(task, state, *args)
-        errors.append(state.clock[course.ERROR])
+    def keeping(self, k):
+        run = go_on(self, k)
+        errors.append(self.states.clock[k, course.ERROR])
         return run
 
-    monkeypatch.setattr(course, "complete", keeping)
+    monkeypatch.setattr(waves._Waves, "go_on", keeping)
     for _ in range(8):
         root = rng.normal(size=(66, 132))
         system = System(root @ root.T / 132, damping, 1.0, -0.2)
@@ -197,7 +197,7 @@ def test_a_run_that_stalls_is_begun_anew_and_counted(monkeypatch, rng):
         series = simulate(system, z, w, 1.0, tol=1e-5)
     assert (series.stats.method, series.stats.n_restarts) == (SERIES, 0)
 
-    def stalls(stack, events, precheck, first, slices):
+    def stalls(stack, events, first, slices):
         stack.state.counters[0, course.N_PRODUCTS] = 1000
         slices[0, 0] = course.STALLED
 
@@ -210,7 +210,7 @@ def test_a_run_that_stalls_is_begun_anew_and_counted(monkeypatch, rng):
 
 
 def test_what_ends_a_run_otherwise_is_said(monkeypatch, rng):
-    def leaves_float64(stack, events, precheck, first, slices):
+    def leaves_float64(stack, events, first, slices):
         stack.state.z[:] = np.nan
         slices[0, 0] = course.DIVERGED
 

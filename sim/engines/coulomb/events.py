@@ -6,8 +6,11 @@ root.
 
 from __future__ import annotations
 
+import math
 from typing import TypeAlias
 
+from stickslip.sim.engines.coulomb.expansion import Expansion
+from stickslip.sim.engines.coulomb.model import Model
 from stickslip.sim.engines.coulomb.sticking import UNDECIDED_BOTH, push
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
@@ -18,6 +21,7 @@ Face: TypeAlias = tuple[int, int, int]
 Bounds: TypeAlias = tuple[float, float, float, int]
 #: The largest power of a time: a coefficient that is zero is also zero at any distance.
 _MOST = 1e300
+NEVER = math.inf
 
 
 @inner
@@ -37,7 +41,7 @@ def enclose(series: Floats, slips: Floats, order: int, h: float, reach: Floats, 
 
 
 @inner
-def excluded(face: Face, first: tuple[float, float, float], bounds: Bounds, h: float, reach: float) -> bool:
+def _excluded(face: Face, first: tuple[float, float, float], bounds: Bounds, h: float, reach: float) -> bool:
     """The fast exclusion check: whether a block's event functions have no root within h.
 
     `first` has the first three coefficients of its series; the functions deviate by at most `reach` from their
@@ -54,10 +58,10 @@ def excluded(face: Face, first: tuple[float, float, float], bounds: Bounds, h: f
 
 
 @inner
-def root(
+def _root(
     face: Face, series: Floats, column: int, bounds: Bounds, horizon: tuple[int, float], room: tuple[Floats, Floats]
-) -> tuple[float, bool]:
-    """Time to the first root of a block's event functions within h, and whether there is one; see `excluded` first.
+) -> float:
+    """Time to the first root of a block's event functions within h, `NEVER` if there is none; see `_excluded` first.
 
     Its series is this column; `horizon` has the order and h; `room` is workspace.
     """
@@ -65,7 +69,6 @@ def root(
     v, drag, static, closed = bounds
     order, h = horizon
     poly, places = room
-    is_found = False
     if mode != 0:
         degree = order - 1 - zeros
         power = 1.0
@@ -76,12 +79,9 @@ def root(
                 c -= v
             poly[k] = mode * c * power
             power = min(power * h, _MOST)
-        if roots(poly, degree, places) > 0:
-            h *= places[0]
-            is_found = True
-        return h, is_found
+        return h * places[0] if roots(poly, degree, places) > 0 else NEVER
     force = drag + series[0, column]
-    first = h
+    first = NEVER
     for sigma in (-1, 1):  # both within h, so that a mirror image has the same bytes
         if sigma == closed:
             continue
@@ -99,5 +99,23 @@ def root(
             power = min(power * h, _MOST)
         if poly[0] != 0.0 and roots(poly, degree, places) > 0:
             first = min(first, h * places[0])
-            is_found = True
-    return first, is_found
+    return first
+
+
+@inner
+def next_event(
+    model: Model,
+    expansion: Expansion,
+    i: int,
+    face: Face,
+    series: Floats,
+    column: int,
+    reach: float,
+    horizon: tuple[int, float],
+) -> float:
+    """The time to the next event of block i; its series, of which `reach` is known, is that column."""
+    first, v = (series[0, column], series[1, column], series[2, column]), model.belt_speed[i]
+    bounds = v, model.damping[i] * v, model.static[i], model.closed[i]
+    if _excluded(face, first, bounds, horizon[1], reach):
+        return NEVER
+    return _root(face, series, column, bounds, horizon, (expansion.poly, expansion.places))

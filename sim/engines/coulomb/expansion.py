@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines import course
 from stickslip.sim.engines.coulomb import control
+from stickslip.sim.engines.coulomb.model import SpeedWeakening
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.products import Room
+from stickslip.sim.systems.weakening.pieces import N_TERMS
 
 
 class Window(NamedTuple):
@@ -25,14 +27,15 @@ class Window(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """The series of S for n blocks."""
+    """How friction falls with speed, and the series of S for n blocks."""
 
+    law: SpeedWeakening
     series: Floats  #: S_k by rows, shape (1, orders, n), followed by the other series that the law keeps
     scale: Floats  #: of x: the steepness times the direction of slip
     x0: Floats
 
 
-@course.by_run("mode", "touching", "leaves")
+@course.by_run("mode", "touching", "leaves", "known_mode", "initial_mode")
 class Expansion(NamedTuple):
     """The series of n blocks about the present instant, which of them stick from then on, and workspace.
 
@@ -57,28 +60,43 @@ class Expansion(NamedTuple):
     values: Floats  #: value and slope of its series there
     shape: Shape | None  #: None if friction does not fall with speed
     room: Room
+    known_mode: NDArray[np.int8]  #: as recorded so far
+    initial_mode: NDArray[np.int8]
+    reach: Floats  #: how far a block's event function can deviate in a step from its tangent at the start
+    near: Floats  #: the rounding of w - v in a step
+    poly: Floats  #: of the search for events, as the next
+    places: Floats  #: of roots
 
     @classmethod
-    def of(cls, mode: NDArray[np.int8], n_shapes: int) -> Expansion:
-        """No series yet; blocks of mode 0 are to be decided. `n_shapes` is how many series a weakening keeps.
+    def of(cls, mode: NDArray[np.int8], law: SpeedWeakening | None) -> Expansion:
+        """No series yet; blocks of mode 0 are to be decided.
 
         Of a stack, with `mode` of shape (m, n). What stacks share, all runs of a thread share.
         """
-        shared = _workspace(mode.shape[-1], n_shapes, get_ident())
-        return shared._replace(mode=mode, touching=mode == 0, leaves=np.zeros(mode.shape, np.int8))
+        n, shape = mode.shape[-1], None
+        if law is not None:
+            n_series = 1 if law.pieces is None else N_TERMS
+            shape = Shape(law, np.full((n_series, control.ORDER_MAX + 1, n), np.nan), *np.zeros((2, n)))
+        return _workspace(n, get_ident())._replace(
+            mode=mode,
+            touching=mode == 0,
+            leaves=np.zeros(mode.shape, np.int8),
+            shape=shape,
+            known_mode=mode.copy(),
+            initial_mode=mode.copy(),
+        )
 
 
 @lru_cache(maxsize=8)
-def _workspace(n: int, n_shapes: int, thread: int) -> Expansion:
+def _workspace(n: int, thread: int) -> Expansion:
     """What runs of a thread share: for a small system it takes longer to make than a run."""
     orders = control.ORDER_MAX + 1
     series, forces = np.full((2, orders, n), np.nan)  # a coefficient used before it was computed would show
-    stuck_z, slips, column, last, steps = np.zeros((5, n))
+    stuck_z, slips, column, last, steps, reach, near = np.zeros((7, n))
     zeros, side = np.zeros((2, n), np.int64)
-    pull, change = np.zeros((2, orders))
+    pull, change, poly = np.zeros((3, orders))
     no_mode, values = np.zeros((0, n), np.int8), np.zeros((2, n))
-    shape = Shape(np.full((n_shapes, orders, n), np.nan), *np.zeros((2, n))) if n_shapes else None
     return Expansion(
         series, forces, stuck_z, no_mode, slips, no_mode != 0, no_mode, zeros, side, column, last, pull, change,
-        np.zeros(2), steps, values, shape, Room.of(n),
+        np.zeros(2), steps, values, None, Room.of(n), no_mode, no_mode, reach, near, poly, np.zeros(1),
     )  # fmt: skip

@@ -10,27 +10,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines import stacks
+from stickslip.sim.engines import several
 from stickslip.sim.engines.certificates import Collapse, cost_of
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.coulomb import control, sparse, step, waves
 from stickslip.sim.engines.coulomb.control import Goal
 from stickslip.sim.engines.coulomb.expansion import Expansion
-from stickslip.sim.engines.coulomb.model import Model
+from stickslip.sim.engines.coulomb.model import Model, weakening_of
 from stickslip.sim.engines.coulomb.overdamped import Slow, is_heavy
 from stickslip.sim.engines.coulomb.sparse import Local
-from stickslip.sim.engines.coulomb.windows import Runs, Search, Work
-from stickslip.sim.engines.course import Events, FirstSlice, State
+from stickslip.sim.engines.coulomb.windows import Work
+from stickslip.sim.engines.course import State
 from stickslip.sim.engines.forcing import Drive
-from stickslip.sim.engines.precheck import Precheck
-from stickslip.sim.engines.stacks import Several
-from stickslip.sim.kernels.compile import kernel
+from stickslip.sim.engines.several import Several, Slice
 from stickslip.sim.numerics import products
-from stickslip.sim.numerics.arguments import Floats, Ints
+from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.once import once_a_system
 from stickslip.sim.systems.system import System
-from stickslip.sim.systems.weakening.pieces import N_TERMS
 
 if TYPE_CHECKING:
     from stickslip.sim.engines.coulomb.settings import Coulomb
@@ -61,7 +58,7 @@ def runs(tasks: Sequence[Task], engine: Coulomb) -> list[Callable[[], Run]]:
         return _Runs(group, engine) if _may_begin_together(group, engine) else None
 
     stored = [_stored(task, engine, _is_by_waves(task, engine)) for task in tasks]
-    return stacks.runs(stored, together, partial(alone, engine))
+    return several.runs(stored, together, partial(alone, engine))
 
 
 def _is_by_waves(task: Task, engine: Coulomb) -> bool:
@@ -116,18 +113,6 @@ def _followed(system: System, tol: float) -> float:
     return max(tol * system.fastest_belt, _FOLLOWED)
 
 
-@kernel
-def advance(stack: Runs[None], events: Events, precheck: Precheck, first: int, slices: Ints) -> None:
-    """See `frame`."""
-    step.take(stack, events, precheck, first, slices)
-
-
-@kernel
-def advance_locally(stack: Runs[Local], events: Events, precheck: Precheck, first: int, slices: Ints) -> None:
-    """See `frame`."""
-    sparse.take(stack, events, precheck, first, slices)
-
-
 class _Runs(Several):
     """By series; of one task alone if blocks are heavily damped, or K is sparse."""
 
@@ -147,11 +132,10 @@ class _Runs(Several):
         self.models = Model.of(systems, self.drives)
         self.rates = np.array([system.fastest_rate for system in systems])
         u = np.array([task.w0 for task in tasks]) - self.models.belt_speed
-        mode, weakening, n_shapes = np.sign(u).astype(np.int8), first.weakening, 0
+        mode, weakening = np.sign(u).astype(np.int8), first.weakening
         if weakening is not None:
             near, far = first.slip_friction
             self.rates += weakening.steepest * (near - far).max()
-            n_shapes = N_TERMS if weakening.is_data else 1
         if not first.back_slip:
             closed = first.closed
             _refuse_closed(closed * u[0], float(self.tols[0]) * first.fastest_belt)
@@ -160,8 +144,7 @@ class _Runs(Several):
             (1.0 / rate if rate > 0 else max(task.t_end - task.t_start, 1.0), 1.0)
             for rate, task in zip(self.rates.tolist(), tasks, strict=True)
         ]
-        self.states, self.searches = State.at_start(tasks, mode, exposures), Search.of(mode)
-        self.initial_modes, self.events_a_step = self.searches.initial_mode[:, np.newaxis], first.n
+        self.states = State.at_start(tasks, mode, exposures)
         self.decays = np.array(
             [0.5 * max(0.0, system.least_damping) if weakening is None else 0.0 for system in systems]
         )
@@ -175,10 +158,12 @@ class _Runs(Several):
         self.is_of_one_type = first.is_plain and self.slow is None
         is_dense = isinstance(first.stiffness, np.ndarray)
         is_whole = is_dense or weakening is not None or self.drives[0].is_forced or self.slow is not None
-        self.kernel, local = (advance, None) if is_whole else (advance_locally, Local.of(first))
-        self.work = Work(Expansion.of(mode, n_shapes), self.searches, self.slow, local)
+        self.kernel, local = (step.advance, None) if is_whole else (sparse.advance, Local.of(first))
+        expansion = Expansion.of(mode, weakening_of(first))
         if tasks[0].modes is not None:
-            self.work.expansion.leaves[:] = np.where(mode == 0, tasks[0].modes, 0)
+            expansion.leaves[:] = np.where(mode == 0, tasks[0].modes, 0)
+        self.work = Work(expansion, self.slow, local)
+        self.initial_modes, self.events_a_step = expansion.initial_mode[:, np.newaxis], first.n
 
     def goal(self, drive: Drive) -> Goal[Floats]:
         return Goal(self.lengths, drive.is_last, -1.0, self.tols, self.rates, self.decays, self.bounds)
@@ -186,13 +171,13 @@ class _Runs(Several):
     def alone(self, k: int) -> Run:
         return _by_series(self.tasks[k], self.engine)
 
-    def slice(self, k: int, events: Events, bound: float) -> tuple[int, int]:
-        ended, task = super().slice(k, events, bound), self.tasks[k]
+    def slice(self, k: int, bound: float) -> Slice:
+        ended, task = super().slice(k, bound), self.tasks[k]
         if task.modes is not None:
-            _require_modes(task, task.modes, self.searches.initial_mode[k], float(self.tols[k]))
+            _require_modes(task, task.modes, self.initial_modes[k, 0], float(self.tols[k]))
         return ended
 
-    def go_on(self, k: int, first_slice: FirstSlice | None = None) -> Run:
+    def go_on(self, k: int, first_slice: Slice | None = None) -> Run:
         # `expand` itself limits a step to where the series of a force holds
         _warn_of_short_steps(self.tasks[k], float(self.rates[k]) if self.slow is None else self.slow.rate)
         return super().go_on(k, first_slice)

@@ -33,16 +33,17 @@ class SpeedWeakening(NamedTuple):
     is_entire: bool
     pieces: Polynomials | None  #: of any other law
 
-    @classmethod
-    def of(cls, system: System) -> SpeedWeakening | None:
-        """None if friction does not weaken."""
-        if (weakening := system.weakening) is None:
-            return None
-        near, far = system.slip_friction
-        share = np.divide(far, near, out=np.ones(system.n), where=near > 0)
-        number = 0 if weakening.is_data else SERIES_OF.index(type(weakening))
-        pieces = Polynomials.of(weakening.pieces) if weakening.is_data else None
-        return cls(share, weakening.steepness, number, weakening.is_entire, pieces)
+
+@once_a_system
+def weakening_of(system: System) -> SpeedWeakening | None:
+    """None if friction does not weaken."""
+    if (weakening := system.weakening) is None:
+        return None
+    near, far = system.slip_friction
+    share = np.divide(far, near, out=np.ones(system.n), where=near > 0)
+    number = 0 if weakening.is_data else SERIES_OF.index(type(weakening))
+    pieces = Polynomials.of(weakening.pieces) if weakening.is_data else None
+    return SpeedWeakening(share, weakening.steepness, number, weakening.is_entire, pieces)
 
 
 class Cross(NamedTuple):
@@ -86,11 +87,9 @@ class Model(NamedTuple):
     friction: Floats  #: kinetic, of a block that begins to slip
     static: Floats
     closed: NDArray[np.int8]  #: the side to which no block slips, 0 if there is none
-    weakening: SpeedWeakening | None
     belt_speed: Floats
     forcing: Forcing
     cross: Cross | None
-    carries: bool  #: whether events are carried over
 
     @classmethod
     def of(cls, systems: Sequence[System], drives: Sequence[Drive]) -> Model:
@@ -100,7 +99,7 @@ class Model(NamedTuple):
         (system,), (drive,) = systems, drives
         model = _of_alone(system)
         if drive.is_forced:
-            model = model._replace(belt_speed=drive.belt_speed[np.newaxis], forcing=course.forcing_of(drives))
+            model = model._replace(belt_speed=drive.belt_speed[np.newaxis], forcing=course.stack([drive.forcing]))
         return model if system.cross_damping is None else model._replace(cross=course.stack([Cross.of(system)]))
 
     @classmethod
@@ -114,7 +113,7 @@ class Model(NamedTuple):
             none = np.empty((m, 0), np.int32)
             columns = Columns(np.array(dense.swapaxes(1, 2), order="C"), none, none, np.empty((m, 0)))
         else:
-            dense, columns = np.empty((m, 0, 0)), course.stack([first.columns])
+            dense, columns = np.empty((m, 0, 0)), course.stack([Columns.of(first.stiffness)])
         return cls(
             columns,
             Pairs.of(dense, row_sums),
@@ -123,11 +122,9 @@ class Model(NamedTuple):
             near,
             static,
             np.array([system.closed for system in systems]),
-            course.stack([SpeedWeakening.of(first)]),
             belt,
             Forcing.none(m),
             None,
-            first.n >= control.CARRIED,
         )
 
 

@@ -9,7 +9,6 @@ an event does not depend on the number of blocks, and a window holds any number 
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines import course
 from stickslip.sim.engines.coulomb import control
-from stickslip.sim.engines.coulomb.events import Face, enclose, excluded, root
+from stickslip.sim.engines.coulomb.events import NEVER, enclose, next_event
 from stickslip.sim.engines.coulomb.expansion import Expansion, Window
 from stickslip.sim.engines.coulomb.model import Cross, Model
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
@@ -25,15 +24,12 @@ from stickslip.sim.engines.coulomb.taylor import UNDECIDED, curvature, decide, e
 from stickslip.sim.engines.coulomb.windows import Run, evaluate, instant, note, record, sample, stalls
 from stickslip.sim.engines.course import Events
 from stickslip.sim.engines.frame import Way, frame
-from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, largest
 from stickslip.sim.numerics.horner import shift_rows
 from stickslip.sim.numerics.sparse import Columns
 from stickslip.sim.systems.system import System
-
-_NEVER = math.inf
 
 
 class Local(NamedTuple):
@@ -64,7 +60,7 @@ class Local(NamedTuple):
             pull=float(system.row_sums.max()),
             drag=float(system.cross_sums.max()),
             origin=np.zeros(n),
-            due=np.full(2 * size, _NEVER),
+            due=np.full(2 * size, NEVER),
             place=np.full(n, -1),
             members=np.zeros(most, np.int64),
             series=np.zeros((control.ORDER_MAX + 1, most)),
@@ -107,29 +103,15 @@ def _winner(due: Floats) -> int:
 
 
 @inner
-def _next_event(
-    run: Run[Local], i: int, face: Face, series: Floats, column: int, reach: float, horizon: tuple[int, float]
-) -> float:
-    """The time to the next event of block i; its series, of which `reach` is known, is that column."""
-    model, search = run.model, run.work.search
-    first, v = (series[0, column], series[1, column], series[2, column]), model.belt_speed[i]
-    bounds = v, model.damping[i] * v, model.static[i], model.closed[i]
-    if excluded(face, first, bounds, horizon[1], reach):
-        return _NEVER
-    time, is_found = root(face, series, column, bounds, horizon, (search.poly, search.places))
-    return time if is_found else _NEVER
-
-
-@inner
 def _schedule_all(run: Run[Local], order: int, h: float) -> None:
     """Find every block's next event within h; all series are about the start of a window."""
-    expansion, reach, due = run.work.expansion, run.work.search.reach, run.work.local.due
+    expansion, reach, due = run.work.expansion, run.work.expansion.reach, run.work.local.due
     series, mode, n, size = expansion.series, expansion.mode, len(expansion.mode), len(due) // 2
     zeros, side = expansion.zeros, expansion.side
     enclose(series, expansion.slips, order, h, reach, n)
     for i in range(n):
         face = mode[i], zeros[i], side[i]
-        due[size + i] = _next_event(run, i, face, series, i, reach[i], (order, h))
+        due[size + i] = next_event(run.model, expansion, i, face, series, i, reach[i], (order, h))
     for k in range(size - 1, 0, -1):
         due[k] = min(due[2 * k], due[2 * k + 1])
 
@@ -289,7 +271,8 @@ def _put_back(run: Run[Local], order: int, span: tuple[float, float], count: int
             of_all[k, i] = series[k, a]
         stuck_z[i] += v[i] * (s - origin[i])
         origin[i] = s
-        time = _next_event(run, i, (mode[a], zeros, 0), series, a, reach[a], (order, h))
+        face = mode[a], zeros, 0
+        time = next_event(model, expansion, i, face, series, a, reach[a], (order, h))
         _schedule(due, i, s + time)
 
 
@@ -354,7 +337,7 @@ def _pass_on_from(run: Run[Local], window: Window, block: int, span: tuple[float
 def _close(run: Run[Local], window: Window, s: float, block: int) -> None:
     """The state at the end of a window, and which blocks are to be decided there."""
     model, work, state = run.model, run.work, run.state
-    expansion, noise, v, order = work.expansion, work.search.near, model.belt_speed, window.order
+    expansion, noise, v, order = work.expansion, work.expansion.near, model.belt_speed, window.order
     z, w, n, power = state.z, state.w, len(state.z), window.span
     series, mode, touching = expansion.series, expansion.mode, expansion.touching
     for i in range(n):
@@ -396,7 +379,7 @@ def _at(run: Run[Local], window: Opened, t: float) -> None:
 def _pass_event(run: Run[Local], window: Window, block: int, span: tuple[float, float]) -> float:
     """Carry the series over an event at the start of a span, if no other is due then; returns as `_pass_on_from`."""
     due, s = run.work.local.due, span[0]
-    _schedule(due, block, _NEVER)
+    _schedule(due, block, NEVER)
     if due[1] <= s + instant(run.goal, run.state.clock[course.TIME]):
         return -1.0
     return _pass_on_from(run, window, block, span)
@@ -404,7 +387,7 @@ def _pass_event(run: Run[Local], window: Window, block: int, span: tuple[float, 
 
 @inner
 def _carry(
-    run: Run[Local], opened: Opened, is_after_event: bool, precheck: Precheck, events: Events, n_recorded: int
+    run: Run[Local], opened: Opened, is_after_event: bool, events: Events, n_recorded: int
 ) -> tuple[Opened, int, bool]:
     """Go on to the end of the window, from event to event; see `frame.Way`."""
     model, work, goal, state = run.model, run.work, run.goal, run.state
@@ -437,7 +420,7 @@ def _carry(
                 n_recorded = record(run, (block, was), error, events, n_recorded)
                 course.note_event(clock, counters)
                 n_slip += abs(mode[block]) - abs(was)
-                is_asked = n_slip == n and course.is_check_due(state, mode, precheck, goal.t_end - t - s)
+                is_asked = n_slip == n and course.is_check_due(state, mode, run.precheck, goal.t_end - t - s)
                 goes_on = n_slip > 0 and not is_asked and n_recorded + n <= len(events.t)
     clock[course.ERROR] = error_after(model, expansion, goal, window, s, error_before)
     _close(run, window, s, block)
@@ -446,4 +429,4 @@ def _carry(
     return opened, n_recorded, False
 
 
-take = frame(Way(_blank, _open, note, _at, _carry))
+advance = frame(Way(_blank, _open, note, _at, _carry), __name__)

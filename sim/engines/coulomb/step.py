@@ -28,17 +28,16 @@ from typing import NamedTuple
 
 from stickslip.sim.engines import course
 from stickslip.sim.engines.coulomb import control
-from stickslip.sim.engines.coulomb.events import enclose, excluded, root
+from stickslip.sim.engines.coulomb.events import NEVER, enclose, next_event
 from stickslip.sim.engines.coulomb.expansion import Expansion
 from stickslip.sim.engines.coulomb.expansion import Window as Series
 from stickslip.sim.engines.coulomb.model import Model
 from stickslip.sim.engines.coulomb.overdamped import follow
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
 from stickslip.sim.engines.coulomb.taylor import correct, error_after, expand, shift
-from stickslip.sim.engines.coulomb.windows import Run, Search, evaluate, note, sample, stalls
+from stickslip.sim.engines.coulomb.windows import Run, evaluate, note, sample, stalls
 from stickslip.sim.engines.course import Events
 from stickslip.sim.engines.frame import Way, frame
-from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arithmetic import ROUNDING, largest
 
@@ -58,20 +57,16 @@ class Window(NamedTuple):
 
 
 @inner
-def _first_event(model: Model, expansion: Expansion, search: Search, order: int, h: float) -> tuple[float, int]:
+def _first_event(model: Model, expansion: Expansion, order: int, h: float) -> tuple[float, int]:
     """Time to the first root of any event function within h, and its block; (h, -1) if there is none."""
-    series, mode, room = expansion.series, expansion.mode, (search.poly, search.places)
-    zeros, side, reach = expansion.zeros, expansion.side, search.reach
-    damping, static, closed, v = model.damping, model.static, model.closed, model.belt_speed
+    series, mode, zeros, side = expansion.series, expansion.mode, expansion.zeros, expansion.side
+    reach, block = expansion.reach, -1
     enclose(series, expansion.slips, order, h, reach, len(mode))
-    block = -1
     for i in range(len(mode)):
-        face, first = (mode[i], zeros[i], side[i]), (series[0, i], series[1, i], series[2, i])
-        bounds = v[i], damping[i] * v[i], static[i], closed[i]
-        if excluded(face, first, bounds, h, reach[i]):
-            continue
-        h, is_found = root(face, series, i, bounds, (order, h), room)
-        block = i if is_found else block
+        face = mode[i], zeros[i], side[i]
+        time = next_event(model, expansion, i, face, series, i, reach[i], (order, h))
+        if time < NEVER:
+            h, block = time, i
     return h, block
 
 
@@ -83,7 +78,7 @@ def _on_the_edge(run: Run[None], z_max: float, block: int, order: int, step: flo
     two then, and at most 0 if it comes. The instant is a `step` into the series. If the forces at it are known,
     sticking blocks with |F| = m count too.
     """
-    model, expansion, noise, w = run.model, run.work.expansion, run.work.search.near, run.state.w
+    model, expansion, noise, w = run.model, run.work.expansion, run.work.expansion.near, run.state.w
     v, mode, touching, series = model.belt_speed, expansion.mode, expansion.touching, expansion.series
     static, friction, damping, leaves = model.static, model.friction, model.damping, expansion.leaves
     row_sums, closed, count = model.row_sums, model.closed, 0
@@ -125,7 +120,7 @@ def _open(run: Run[None], window: Window, remaining: float) -> Window:
         target = min(target, control.SPAN / goal.rate) if goal.rate > 0.0 else target
         order, h, allowed, n_products = expand(model, work.expansion, goal, state, target)
         state.counters[course.N_PRODUCTS] += n_products
-    is_cut = model.weakening is not None and h < target
+    is_cut = work.expansion.shape is not None and h < target
     return Window(True, is_cut, is_slow, order, h, h, 0.0, allowed, state.clock[course.ERROR])
 
 
@@ -154,15 +149,15 @@ def _pass_event(run: Run[None], window: Window, block: int, step: float, left: f
 
 @inner
 def _carry(
-    run: Run[None], window: Window, is_after_event: bool, precheck: Precheck, events: Events, n_recorded: int
+    run: Run[None], window: Window, is_after_event: bool, events: Events, n_recorded: int
 ) -> tuple[Window, int, bool]:
     """Go on to the next event, or to the end of the window; see `frame.Way`."""
     model, work, goal, state = run.model, run.work, run.goal, run.state
-    expansion, noise, v, order = work.expansion, work.search.near, model.belt_speed, window.order
+    expansion, noise, v, order = work.expansion, work.expansion.near, model.belt_speed, window.order
     z, w, clock, counters = state.z, state.w, state.clock, state.counters
-    series, reach = expansion.series, work.search.reach
+    series, reach = expansion.series, expansion.reach
     t, remaining = clock[course.TIME], goal.t_end - clock[course.TIME]
-    step, block = _first_event(model, expansion, work.search, order, window.left)
+    step, block = _first_event(model, expansion, order, window.left)
     if not goal.is_last and remaining - step <= ROUNDING * goal.t_end:
         step = remaining  # an event that rounding cannot tell from the end belongs to the next piece
     counters[course.N_STEPS] += 1
@@ -175,8 +170,8 @@ def _carry(
     age, left = window.age + step, window.left - step
     of_series = Series(order, window.span, window.allowed, 0.0)
     clock[course.ERROR] = error_after(model, expansion, goal, of_series, age, window.error)
-    is_linear = model.weakening is None and not window.is_slow and model.cross is None
-    if block >= 0 and left > 0.0 and is_linear and model.carries:
+    is_linear = expansion.shape is None and not window.is_slow and model.cross is None
+    if block >= 0 and left > 0.0 and is_linear and len(z) >= control.CARRIED:
         h = _pass_event(run, window, block, step, left)
         is_cut, is_open = window.is_cut or h < left, control.is_worth_using(clock, h)
     else:
@@ -191,4 +186,4 @@ def _carry(
     return window, n_recorded, stalls(goal, counters, t_next - t, t, not is_after_event)
 
 
-take = frame(Way(_blank, _open, note, _at, _carry))
+advance = frame(Way(_blank, _open, note, _at, _carry), __name__)

@@ -83,62 +83,61 @@ def _share_of(pieces: Polynomials | None, is_entire: bool, x0: float, left: floa
 
 
 @inner
-def _is_lost(weakening: SpeedWeakening, model: Model, expansion: Expansion, i: int) -> bool:
+def _is_lost(law: SpeedWeakening, model: Model, expansion: Expansion, i: int) -> bool:
     """Whether the most that a block's friction may fall by is below the rounding of its other forces.
 
     Such a block passes its belt in so short a time that the series of friction in time leaves float64.
     """
     force = model.damping[i] * expansion.series[1, i] + expansion.forces[0, i]
-    return model.friction[i] * (1.0 - weakening.far[i]) <= ROUNDING * abs(force)
+    return model.friction[i] * (1.0 - law.far[i]) <= ROUNDING * abs(force)
 
 
 @inner
-def _extend_shape(weakening: SpeedWeakening, shape: Shape, model: Model, expansion: Expansion, k: int) -> None:
+def _extend_shape(shape: Shape, model: Model, expansion: Expansion, k: int) -> None:
     """S_k of all blocks."""
-    series, of_shape, scale, x0 = expansion.series, shape.series, shape.scale, shape.x0
+    law, series, of_shape, scale, x0 = shape.law, expansion.series, shape.series, shape.scale, shape.x0
     for i in range(len(scale)):
-        scale[i] = weakening.steepness * expansion.mode[i]
+        scale[i] = law.steepness * expansion.mode[i]
     if k > 0:
-        _extend_by(weakening.pieces, weakening.law, k, series, x0, scale, of_shape)
+        _extend_by(law.pieces, law.law, k, series, x0, scale, of_shape)
         return
     for i in range(len(scale)):
         x0[i] = scale[i] * (series[1, i] - model.belt_speed[i])
-        of_shape[0, 0, i] = _shape_of(weakening.pieces, weakening.law, x0[i])
-    _begin_by(weakening.pieces, x0, of_shape)
+        of_shape[0, 0, i] = _shape_of(law.pieces, law.law, x0[i])
+    _begin_by(law.pieces, x0, of_shape)
     for i in range(len(scale)):
-        if _is_lost(weakening, model, expansion, i):
+        if _is_lost(law, model, expansion, i):
             of_shape[:, 0, i] = 0.0  # and by the recurrence all other S_k
 
 
 @inner
-def _resist(
-    weakening: SpeedWeakening | None, shape: Shape | None, model: Model, expansion: Expansion, k: int
-) -> None:
+def _resist(shape: Shape | None, model: Model, expansion: Expansion, k: int) -> None:
     """Add friction at order k, less the constant part that `_expand` has, to the coefficients k + 2."""
-    if weakening is None or shape is None:
+    if shape is None:
         return
     series, mode, slips = expansion.series, expansion.mode, expansion.slips
-    _extend_shape(weakening, shape, model, expansion, k)
+    _extend_shape(shape, model, expansion, k)
     factor = -1.0 / ((k + 2) * (k + 1))
     for i in range(len(mode)):
-        less = model.friction[i] * (1.0 - weakening.far[i]) * (shape.series[0, k, i] - (1.0 if k == 0 else 0.0))
+        less = model.friction[i] * (1.0 - shape.law.far[i]) * (shape.series[0, k, i] - (1.0 if k == 0 else 0.0))
         series[k + 2, i] += slips[i] * factor * less * mode[i]
 
 
 @inner
-def _known_within(weakening: SpeedWeakening | None, shape: Shape | None, expansion: Expansion) -> float:
+def _known_within(shape: Shape | None, expansion: Expansion) -> float:
     """The time over which the series of S is of use: until x, at its present slope, is half of the way to a pole.
 
     If S has no pole, until S would change by half of S(0), as exp(-x) at its present slope would.
     """
     time = np.inf
-    if weakening is None or shape is None:
+    if shape is None:
         return time
+    law = shape.law
     for i in range(len(expansion.mode)):
         left = shape.series[0, 0, i]
         slope = expansion.mode[i] * expansion.series[2, i]
-        share = _share_of(weakening.pieces, weakening.is_entire, shape.x0[i], left, slope)
-        rise = abs(2.0 * weakening.steepness * expansion.series[2, i] * share)
+        share = _share_of(law.pieces, law.is_entire, shape.x0[i], left, slope)
+        rise = abs(2.0 * law.steepness * expansion.series[2, i] * share)
         if rise * time > control.TO_POLE:
             time = control.TO_POLE / rise
     return time
@@ -146,55 +145,41 @@ def _known_within(weakening: SpeedWeakening | None, shape: Shape | None, expansi
 
 @inner
 def _within_pieces(
-    pieces: Polynomials | None,
-    weakening: SpeedWeakening,
-    shape: Shape,
-    model: Model,
-    expansion: Expansion,
-    order: int,
-    h: float,
+    pieces: Polynomials | None, shape: Shape, model: Model, expansion: Expansion, order: int, h: float
 ) -> float:
     """The time, at most h, at which x of a block first leaves the piece of S from which its series is."""
     if pieces is None:
         return h
     for i in range(len(expansion.mode)):
-        if expansion.mode[i] != 0 and not _is_lost(weakening, model, expansion, i):
+        if expansion.mode[i] != 0 and not _is_lost(shape.law, model, expansion, i):
             h = left_at(pieces, expansion.series, shape.scale[i], shape.x0[i], i, order, h)
     return h
 
 
 @inner
-def _within(
-    weakening: SpeedWeakening | None, shape: Shape | None, model: Model, expansion: Expansion, order: int, h: float
-) -> float:
+def _within(shape: Shape | None, model: Model, expansion: Expansion, order: int, h: float) -> float:
     """The part of a step h in which friction is as its series are."""
-    if weakening is None or shape is None:
+    if shape is None:
         return h
-    return _within_pieces(weakening.pieces, weakening, shape, model, expansion, order, h)
+    return _within_pieces(shape.law.pieces, shape, model, expansion, order, h)
 
 
 @inner
 def _is_friction_known(
-    weakening: SpeedWeakening | None,
-    shape: Shape | None,
-    model: Model,
-    expansion: Expansion,
-    order: int,
-    h: float,
-    allowed: float,
+    shape: Shape | None, model: Model, expansion: Expansion, order: int, h: float, allowed: float
 ) -> bool:
     """Whether, up to h, friction is what the series up to this order say."""
-    if weakening is None or shape is None:
+    if shape is None:
         return True
-    h = _within(weakening, shape, model, expansion, order, h)
-    return _is_shape(weakening, shape, model, expansion, order, h, allowed) and (
-        not weakening.is_entire or _weakens_less(weakening, model, expansion, order, h, allowed)
+    h = _within(shape, model, expansion, order, h)
+    return _is_shape(shape, model, expansion, order, h, allowed) and (
+        not shape.law.is_entire or _weakens_less(shape.law, model, expansion, order, h, allowed)
     )
 
 
 @inner
 def _weakens_less(
-    weakening: SpeedWeakening, model: Model, expansion: Expansion, order: int, h: float, allowed: float
+    law: SpeedWeakening, model: Model, expansion: Expansion, order: int, h: float, allowed: float
 ) -> bool:
     """Whether, up to h, the terms of an S without a pole fall beyond this order, or are too small to matter.
 
@@ -202,34 +187,32 @@ def _weakens_less(
     """
     series, mode = expansion.series, expansion.mode
     for i in range(len(mode)):
-        drop = model.friction[i] * (1.0 - weakening.far[i]) * h
-        if mode[i] == 0 or drop == 0.0 or _is_lost(weakening, model, expansion, i):
+        drop = model.friction[i] * (1.0 - law.far[i]) * h
+        if mode[i] == 0 or drop == 0.0 or _is_lost(law, model, expansion, i):
             continue
-        change, power = 0.0, weakening.steepness
+        change, power = 0.0, law.steepness
         for k in range(1, order):
             power *= h
             change += (k + 1) * abs(series[k + 1, i]) * power
-        x = weakening.steepness * mode[i] * (series[1, i] - model.belt_speed[i])
+        x = law.steepness * mode[i] * (series[1, i] - model.belt_speed[i])
         least = max(x - change, 0.0)
-        rest = drop * _shape_of(weakening.pieces, weakening.law, least)
+        rest = drop * _shape_of(law.pieces, law.law, least)
         if change > control.RISING * order and rest > control.PASSED_ON * allowed:
             return False
     return True
 
 
 @inner
-def _is_shape(
-    weakening: SpeedWeakening, shape: Shape, model: Model, expansion: Expansion, order: int, h: float, allowed: float
-) -> bool:
+def _is_shape(shape: Shape, model: Model, expansion: Expansion, order: int, h: float, allowed: float) -> bool:
     """Whether at h the series of S has come to S, but for what is allowed.
 
     Terms of some orders may vanish though those beyond do not, as where R makes up for the fall of friction. The
     error of w is that of friction, from its first term that lacks. Of a block that comes to its belt an earlier
     instant is looked at.
     """
-    series = expansion.series
+    series, law = expansion.series, shape.law
     for i in range(len(expansion.mode)):
-        drop = model.friction[i] * (1.0 - weakening.far[i]) * h
+        drop = model.friction[i] * (1.0 - law.far[i]) * h
         if expansion.mode[i] == 0 or drop == 0.0 or shape.series[0, 0, i] == 0.0:  # the last: see `_is_lost`
             continue
         x, s = -1.0, 2.0 * h
@@ -245,7 +228,7 @@ def _is_shape(
                 size += abs(term)
                 approximation += shape.series[0, k, i] * power if k < order - 1 else 0.0
         if x >= 0.0:
-            lacking = abs(_shape_of(weakening.pieces, weakening.law, x) - approximation) - ROUNDING * size
+            lacking = abs(_shape_of(law.pieces, law.law, x) - approximation) - ROUNDING * size
             if drop * lacking > order * allowed:
                 return False
     return True
@@ -301,7 +284,7 @@ def expand(
         n_products += n_more
         if order > 0:
             expansion.leaves[:] = 0
-            h = _within(model.weakening, expansion.shape, model, expansion, order, h)
+            h = _within(expansion.shape, model, expansion, order, h)
             hold(expansion, order)
             return order, h, allowed, n_products
 
@@ -330,7 +313,7 @@ def _begin(model: Model, expansion: Expansion, state: State) -> tuple[int, float
     for i in range(len(z)):
         slips[i] = 1.0 if mode[i] != 0 else 0.0
         series[2, i] = -0.5 * slips[i] * (damping[i] * w[i] + forces[0, i] + friction[i] * mode[i])
-    _resist(model.weakening, expansion.shape, model, expansion, 0)
+    _resist(expansion.shape, model, expansion, 0)
     return n_undecided, pushed
 
 
@@ -352,7 +335,7 @@ def _extend(model: Model, expansion: Expansion, k: int) -> float:
     factor, sizes = -1.0 / ((k + 2) * (k + 1)), expansion.sizes
     for i in range(len(slips)):
         series[k + 2, i] = slips[i] * factor * (damping[i] * (k + 1) * series[k + 1, i] + forces[k, i])
-    _resist(model.weakening, expansion.shape, model, expansion, k)
+    _resist(expansion.shape, model, expansion, k)
     sizes[0], sizes[1] = sizes[1], largest(series[k + 2])
     return sizes[1]
 
@@ -367,7 +350,7 @@ def _known_step(
         h = min(h, (allowed / (order * last)) ** (1.0 / (order - 1)))
     if before > 0.0:
         h = min(h, (allowed / ((order - 1) * before)) ** (1.0 / (order - 2)))
-    while h > 0.0 and not _is_friction_known(model.weakening, expansion.shape, model, expansion, order, h, allowed):
+    while h > 0.0 and not _is_friction_known(expansion.shape, model, expansion, order, h, allowed):
         h *= control.SHRINK
     return h
 
@@ -378,9 +361,9 @@ def _expand(
 ) -> tuple[int, float, float, int]:
     """As `expand`; the order is 0 if it is to begin again, now that a block is known to leave."""
     series, forces, slips, sizes = expansion.series, expansion.forces, expansion.slips, expansion.sizes
-    shape, weakening, forcing, t = expansion.shape, model.weakening, model.forcing, state.clock[course.TIME]
+    shape, forcing, t = expansion.shape, model.forcing, state.clock[course.TIME]
     n_undecided, pushed_next = _begin(model, expansion, state)
-    target = min(target, _known_within(weakening, shape, expansion))
+    target = min(target, _known_within(shape, expansion))
     # the error of w allowed in this step: relative to w, the belt and the change of w; that of z is then smaller
     allowed = goal.tol * max(largest(state.w), fastest_belt(model), 2.0 * largest(series[2]) * target)
     allowed = max(allowed, goal.tol * target * may_change(forcing, t, target), control.LEAST_ALLOWED)
@@ -416,16 +399,16 @@ def _expand(
         n_products = _products_to(model, k)
         # the last term of w decides; two in a row, since one can vanish by chance
         is_polynomial = size == 0.0 and last == 0.0 and order >= control.ORDER_MIN
-        if is_polynomial and _is_friction_known(weakening, shape, model, expansion, order, target, allowed):
+        if is_polynomial and _is_friction_known(shape, model, expansion, order, target, allowed):
             # exact at any distance
-            is_exact = not is_single and (weakening is None or largest(slips) == 0.0)
+            is_exact = not is_single and (shape is None or largest(slips) == 0.0)
             speed = max(largest(forces[1]), largest(series[2]))
             far = goal.t_end - t if speed == 0.0 else min(goal.t_end - t, control.FAR / speed)
             return order, far if is_exact else target, allowed, n_products
         n_small = n_small + 1 if order * size * target ** (order - 1) <= allowed else 0
         # below order = rate * target the terms of a small state may still rise
         is_enough = n_small >= 2 and n_undecided == 0 and order >= max(control.ORDER_MIN, goal.rate * target)
-        if is_enough and _is_friction_known(weakening, shape, model, expansion, order, target, allowed):
+        if is_enough and _is_friction_known(shape, model, expansion, order, target, allowed):
             return order, target, allowed, n_products
         before, last = last, size
     return order, _known_step(model, expansion, order, last, before, target, allowed), allowed, n_products

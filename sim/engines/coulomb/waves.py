@@ -15,16 +15,13 @@ import numpy as np
 from stickslip.sim.engines import course
 from stickslip.sim.engines.certificates import Collapse, cost_of
 from stickslip.sim.engines.contract import Task
-from stickslip.sim.engines.course import Events
-from stickslip.sim.engines.precheck import Precheck
+from stickslip.sim.engines.frame import frame
 from stickslip.sim.engines.sigmoid_law import SetValued
 from stickslip.sim.engines.waveform import control as limits
-from stickslip.sim.engines.waveform.layout import Exact, Model, Runs, Shared, Workspace
+from stickslip.sim.engines.waveform.layout import Exact, Model, Shared, Workspace
 from stickslip.sim.engines.waveform.matrices import matrices_of, signed_sum
 from stickslip.sim.engines.waveform.runs import WaveformRuns, tables_of
-from stickslip.sim.engines.waveform.step import take
-from stickslip.sim.kernels.compile import kernel
-from stickslip.sim.numerics.arguments import Ints
+from stickslip.sim.engines.waveform.step import way
 from stickslip.sim.numerics.radau import NODES
 from stickslip.sim.runs.run import Run, StalledError
 
@@ -34,16 +31,10 @@ _EDGE = 1e-9
 _PIECES, _MORE = 8, 256
 
 
-@kernel
-def advance(stack: Runs, events: Events, precheck: Precheck, first: int, slices: Ints) -> None:
-    """See `frame`."""
-    take(stack, events, precheck, first, slices)
-
-
 class _Waves(WaveformRuns):
     """Of one task."""
 
-    kernel, tells_touches, method = staticmethod(advance), True, "waveform relaxation"
+    kernel, tells_touches, method = staticmethod(frame(way, __name__)), True, "waveform relaxation"
     is_of_one_type = True
     stalled = "a step fell to the rounding of time"
     safety, longest = 1.0, np.inf
@@ -72,7 +63,7 @@ class _Waves(WaveformRuns):
             SetValued(),
             exact,
             *matrices_of(system),
-            course.forcing_of(self.drives),
+            course.stack([self.drives[0].forcing]),
             unused,
             unused,
             np.ones((1, 1), np.bool_),
@@ -85,15 +76,7 @@ class _Waves(WaveformRuns):
 def run(task: Task, tol: float, followed: float, otherwise: Callable[[], Run]) -> Run:
     """Run a task, or `otherwise`: if the start is on the edge between two modes, or, a restart, if it stalls.
 
-    Parameters
-    ----------
-    task : Task
-    tol : float
-        Of a step.
-    followed : float
-        The error allowed in the motion after a collapse.
-    otherwise : callable
-        Runs it by series.
+    `tol` is that of a step, and `followed` the error allowed in the motion after a collapse.
     """
     waves = _Waves(task, tol, followed)
     if waves.is_on_edge:
@@ -102,4 +85,4 @@ def run(task: Task, tol: float, followed: float, otherwise: Callable[[], Run]) -
         return waves.go_on(0)
     except StalledError:
         run = otherwise()
-        return replace(run, stats=run.stats.after(course.stats_of(waves.states.counters[0], 0, waves.method)))
+        return replace(run, stats=run.stats.after(waves.stats(0, 0)))

@@ -5,9 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from stickslip.sim.engines import course
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.control import Goal
@@ -21,35 +18,15 @@ from stickslip.sim.numerics.arguments import Floats, Ints
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy
 from stickslip.sim.numerics.horner import values_and_slopes
 
-
-@course.by_run("known_mode", "initial_mode")
-class Search(NamedTuple):
-    """The modes recorded so far, and the workspace of the search for events, for n blocks."""
-
-    known_mode: NDArray[np.int8]  #: as recorded so far
-    initial_mode: NDArray[np.int8]
-    reach: Floats  #: how far a block's event function can deviate in a step from its tangent at the start
-    near: Floats  #: the rounding of w - v in a step
-    poly: Floats
-    places: Floats  #: of roots
-
-    @classmethod
-    def of(cls, mode: NDArray[np.int8]) -> Search:
-        """Of a stack, whose workspace is shared; `mode` has shape (m, n)."""
-        reach, near = np.empty((2, mode.shape[-1]))
-        return cls(mode.copy(), mode.copy(), reach, near, np.empty(control.ORDER_MAX + 1), np.empty(1))
-
-
 #: `sparse.Local`, of a stack of one where an event is a local update; else None.
 Near = TypeVar("Near", covariant=True)
 
 
-@course.by_run("expansion", "search")
+@course.by_run("expansion")
 class Work(NamedTuple, Generic[Near]):
     """What changes in a run, beside its state."""
 
     expansion: Expansion
-    search: Search
     slow: Slow | None  #: of a stack of one: where blocks are heavily damped
     local: Near
 
@@ -111,9 +88,9 @@ def touch(model: Model, series: Floats, i: int, before: int, mode: int, error: f
 def note(run: Run[Any], events: Events, n_recorded: int) -> tuple[int, bool]:
     """Record the modes that have changed; returns how many events are recorded, and whether all modes agree."""
     work, state = run.work, run.state
-    clock, counters, mode, known_mode = state.clock, state.counters, state.mode, work.search.known_mode
+    clock, counters, mode, known_mode = state.clock, state.counters, state.mode, work.expansion.known_mode
     if counters[course.N_STEPS] == 0:
-        copy(mode, work.search.initial_mode)
+        copy(mode, work.expansion.initial_mode)
         copy(mode, known_mode)
     before, same = n_recorded, True
     for i in range(len(mode)):
@@ -129,12 +106,13 @@ def note(run: Run[Any], events: Events, n_recorded: int) -> tuple[int, bool]:
 @inner
 def record(run: Run[Any], change: tuple[int, int], error: float, events: Events, n_recorded: int) -> int:
     """Record an event now: a block, and its mode before. Returns how many events are recorded."""
-    (block, before), work, mode = change, run.work, run.work.expansion.mode
+    (block, before), expansion = change, run.work.expansion
+    new = expansion.mode[block]
     events.t[n_recorded] = run.state.clock[course.TIME]
     events.block[n_recorded] = block
-    events.mode[n_recorded] = mode[block]
-    events.touch[n_recorded] = touch(run.model, work.expansion.series, block, before, mode[block], error)
-    work.search.known_mode[block] = mode[block]
+    events.mode[n_recorded] = new
+    events.touch[n_recorded] = touch(run.model, expansion.series, block, before, new, error)
+    expansion.known_mode[block] = new
     return n_recorded + 1
 
 

@@ -7,21 +7,19 @@ from dataclasses import replace
 import numpy as np
 
 from stickslip.sim.engines.contract import Task
-from stickslip.sim.engines.course import Buffers
-from stickslip.sim.engines.moreau.step import (
-    BEYOND,
-    DONE,
+from stickslip.sim.engines.course import (
     IS_ALL_STUCK,
     N_ALL_STUCK,
     N_COUNTERS,
-    SAMPLED,
+    N_SAMPLED,
+    N_STEPS,
+    Buffers,
     Events,
-    Model,
     State,
-    advance,
-    whole_steps,
 )
+from stickslip.sim.engines.moreau.step import BEYOND, Model, Work, advance, whole_steps
 from stickslip.sim.numerics.arguments import apart
+from stickslip.sim.numerics.sparse import Columns
 from stickslip.sim.runs.run import IntegrationError, Run, Stats, Stills
 from stickslip.sim.runs.series import EventSeries, part_of, without_returns
 
@@ -35,39 +33,33 @@ def integrate(task: Task, longest: float) -> Run:
     if (least := system.least_damping) * h <= -2.0:
         most, step = apart(-2.0 / least, longest)
         raise ValueError(f"step: expected less than {most}, 2 over the most negative damping, got {step}")
-    model = Model(system.columns, system.damping, system.friction, system.static, float(system.belt_speed))
+    columns, v = Columns.of(system.stiffness), float(system.belt_speed)
+    model = Model(columns, system.damping, system.friction, system.static, v)
     z, w = task.z0.copy(), task.w0.copy()
-    state = State(z, w, np.sign(w - system.belt_speed).astype(np.int8))
-    initial_mode = state.mode.copy()
+    initial_mode = np.sign(w - system.belt_speed).astype(np.int8)
     samples, counters = task.samples, np.zeros(N_COUNTERS, dtype=np.int64)
     buffers = Buffers(samples.t - task.t_start, samples.z, samples.w)
     n_first = int(np.searchsorted(samples.t, task.t_start, side="right"))
-    samples.z[:n_first], samples.w[:n_first], counters[SAMPLED] = z, w, n_first
-    capacity = max(2 * n, 4096)
-    events = Events(
-        np.empty(capacity, np.int64),
-        np.empty(capacity, np.int32),
-        np.empty(capacity, np.int8),
-        np.empty((2, capacity)),
-    )
+    samples.z[:n_first], samples.w[:n_first], counters[N_SAMPLED] = z, w, n_first
+    state = State(z, w, initial_mode.copy(), np.empty(0), counters, buffers)
+    z_before, w_before, middle, pull = np.empty((4, n))
+    work, events = Work(z_before, w_before, middle, pull, np.empty(n, np.int64)), Events.blank(max(2 * n, 4096))
     if not initial_mode.any():
         events.all_stuck[:, 0] = 0, z.sum()
         counters[[IS_ALL_STUCK, N_ALL_STUCK]] = 1
-    parts, is_within = list[Events](), True
-    while counters[DONE] < n_steps and is_within:
-        n_recorded, is_within = advance(model, state, h, n_steps, buffers, events, counters)
-        parts.append(events.first(n_recorded, counters[N_ALL_STUCK]))
-        counters[N_ALL_STUCK] = 0
-    parts.append(events.first(0, counters[N_ALL_STUCK]))  # without a step, of the start
+    parts, is_within, n_done = list[Events](), True, -1
+    while n_done < n_steps and is_within:
+        n_recorded, is_within = advance(model, work, state, h, n_steps, events)
+        parts.append(events.first(n_recorded, int(counters[N_ALL_STUCK])))
+        counters[N_ALL_STUCK], n_done = 0, int(counters[N_STEPS])
     if not np.isfinite(z).all() or not np.isfinite(w).all():
-        raise IntegrationError(f"the state is not finite after t = {task.t_start + counters[DONE] * h:g}")
-    steps, blocks, modes, noted = (np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
+        raise IntegrationError(f"the state is not finite after t = {task.t_start + n_done * h:g}")
+    steps, blocks, modes, _, noted = Events.joined(parts)
     is_first = steps == 0  # what leaves at once does not stick
     initial_mode[blocks[is_first]] = modes[is_first]
     steps, blocks, modes = steps[~is_first], blocks[~is_first], modes[~is_first]
     order = np.lexsort((blocks, steps))  # stable: a block enters before it leaves at the same instant
-    reached = task.t_start + int(counters[DONE]) * h if counters[DONE] < n_steps else task.t_end
-    n_done = int(counters[DONE])
+    reached = task.t_start + n_done * h if n_done < n_steps else task.t_end
     # on the clock of the run until nothing is compared any more
     series = _crossed(EventSeries(steps[order] * h, blocks[order], modes[order], initial_mode, 0.0, span))
     series = without_returns(series, np.zeros(len(series), np.intp), series.t, np.zeros(len(series)))
@@ -80,7 +72,7 @@ def integrate(task: Task, longest: float) -> Run:
         outcome="finished" if is_within else "diverged",
         reason="" if is_within else f"|z| or |w| passed {BEYOND:g} after t = {reached:.4g}",
         stats=Stats(n_steps=n_done, n_rejected=0, n_products=n_done, n_events=len(series)),
-        samples=samples.first(int(counters[SAMPLED])),
+        samples=samples.first(int(counters[N_SAMPLED])),
         stills=Stills(np.minimum(task.t_start + noted[0] * h, reached), noted[1]),
     )
 

@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cached_property, partial
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines import certificates, course, stacks
-from stickslip.sim.engines.contract import Ratios, Task
-from stickslip.sim.engines.course import Events
+from stickslip.sim.engines import certificates, course, several
+from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.forcing import Forcing
+from stickslip.sim.engines.frame import frame
 from stickslip.sim.engines.polynomials import Polynomials
-from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.engines.sigmoid_law import Peaked, Plain, Steady
 from stickslip.sim.engines.waveform import control as limits
 from stickslip.sim.engines.waveform.events import PASSES
-from stickslip.sim.engines.waveform.layout import Blocks, Model, Runs, Shared, Workspace
+from stickslip.sim.engines.waveform.layout import Blocks, Model, Shared, Workspace
 from stickslip.sim.engines.waveform.matrices import NONE, Matrix, matrices_of, matrix_of
 from stickslip.sim.engines.waveform.runs import WaveformRuns, tables_of
-from stickslip.sim.engines.waveform.step import take
-from stickslip.sim.kernels.compile import kernel
-from stickslip.sim.numerics.arguments import Floats, Ints
+from stickslip.sim.engines.waveform.step import way
+from stickslip.sim.numerics.arguments import Floats, per_block
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.friction import hidden_term, over_kinetic, turning_point
 from stickslip.sim.systems.once import once_a_system
@@ -51,7 +49,7 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
     IntegrationError
         Of a run: if the step shrinks to rounding.
     """
-    return stacks.runs(tasks, partial(_Runs, engine), partial(_alone, engine))
+    return several.runs(tasks, partial(_Runs, engine), partial(_alone, engine))
 
 
 def _alone(engine: Sigmoid, task: Task) -> Run:
@@ -74,7 +72,7 @@ class _Layer(NamedTuple):
     @classmethod
     def of(cls, system: System, engine: Sigmoid) -> _Layer:
         """The layer; ValueError if it is too wide for its definition of sticking."""
-        delta = Ratios.for_blocks("ratio", engine.ratio, system.n) * engine.eps
+        delta = per_block("ratio", engine.ratio, system.n, "r_i > 0") * engine.eps
         is_manifold = engine.stick == "manifold"
         if is_manifold and not (delta < 1).all():
             raise ValueError(
@@ -108,30 +106,17 @@ def _friction(system: System, layer: _Layer) -> certificates.Friction:
     return certificates.Friction(force, slope)
 
 
-class _Inside(NamedTuple):
-    """The internal tolerances; see `control`."""
-
-    atol: float
-    rtol: float
-    safety: float  #: the safety factor
-
-    @classmethod
-    def of(cls, engine: Sigmoid) -> _Inside:
-        rtol, atol = limits.CALIBRATION * engine.rtol, limits.CALIBRATION * engine.atol
-        return cls(atol, rtol, limits.safety_factor(atol + rtol))
-
-
-@kernel
-def advance(stack: Runs, events: Events, precheck: Precheck, first: int, slices: Ints) -> None:
-    """See `frame`."""
-    take(stack, events, precheck, first, slices)
+def _inside(engine: Sigmoid) -> tuple[float, float, float]:
+    """The internal tolerances, absolute and relative, and the safety factor; see `control`."""
+    rtol, atol = limits.CALIBRATION * engine.rtol, limits.CALIBRATION * engine.atol
+    return atol, rtol, limits.safety_factor(atol + rtol)
 
 
 class _Given(NamedTuple):
     """What follows from the systems of some tasks and the settings. Arrays are by task and block, as of a stack."""
 
     layer: _Layer
-    inside: _Inside
+    inside: tuple[float, float, float]  #: see `_inside`
     tables: Floats  #: see `tables_of`
     models: Model  #: without forces
     smoothed: list[certificates.Smoothed]
@@ -141,10 +126,10 @@ class _Given(NamedTuple):
     @classmethod
     def of(cls, systems: Sequence[System], engine: Sigmoid) -> _Given:
         system = systems[0]  # if it is not plain, it is the only one
-        layer, inside = _Layer.of(system, engine), _Inside.of(engine)
+        layer, inside = _Layer.of(system, engine), _inside(engine)
         tables, belts = tables_of(systems), [one.fastest_belt for one in systems]
         block = Blocks(tables[..., : system.n])
-        cls._fill_in_the_law(block, system, layer, inside, engine)
+        _fill_in_the_law(block, system, layer, engine)
         by_force = np.array([layer.is_manifold, *(False for _ in engine.thresholds)])
         bands = np.array([layer.band, *(c * layer.delta for c in engine.thresholds)])
         bands = bands * (block.friction > 0.0)[:, np.newaxis]  # without friction no block sticks
@@ -152,7 +137,11 @@ class _Given(NamedTuple):
         for k, one in enumerate(systems):
             borne[k] = one.kinetic(bands[k])
         of_law = list(zip(belts, bands.max(axis=(1, 2)).tolist(), strict=True))
-        smoothed = {key: _smoothed(layer, *key) for key in set(of_law)}
+        widest_own = float(layer.band.max())
+        smoothed = {
+            (speed, widest): certificates.Smoothed(speed, layer.delta, layer.hidden, widest_own, widest)
+            for speed, widest in set(of_law)
+        }
         forcing, is_by_force = Forcing.none(len(systems)), np.tile(by_force, (len(systems), 1))
         models = Model(layer.law, None, *_matrices(systems), forcing, bands, borne, is_by_force)
         stalled = (
@@ -162,21 +151,21 @@ class _Given(NamedTuple):
         allowed = [engine.atol + engine.rtol * belt for belt in belts]
         return cls(layer, inside, tables, models, [smoothed[key] for key in of_law], allowed, stalled)
 
-    @staticmethod
-    def _fill_in_the_law(block: Blocks, system: System, layer: _Layer, inside: _Inside, engine: Sigmoid) -> None:
-        """Fill in the rows of the smoothed friction law."""
-        near, (atol, _, safety) = block.friction, inside
-        block.steep, block.hidden, block.peak = 1.0 / layer.delta, layer.hidden, layer.peak
-        block.passed = limits.PASSED * safety
-        block.of_tail = max(1.0, limits.OF_TAIL / safety)
-        block.at_peak = limits.OF_ROOT * np.sqrt(engine.atol + engine.rtol)
-        fine = np.minimum(limits.FINE * layer.delta ** (2.0 / 3.0), 1.0)
-        block.fine = np.where(layer.peak < np.inf, fine, 1.0)
-        if system.weakening is not None:
-            block.weakening = system.weakening.steepness * layer.delta
-            block.far = np.divide(system.slip_friction[1], near, out=np.ones_like(near), where=near > 0)
-        # beyond this friction is kinetic, to the tolerance
-        block.reach = 1.0 + 0.5 * np.log1p(2.0 * near * (1.0 + 2.0 * layer.hidden) / (safety * atol))
+
+def _fill_in_the_law(block: Blocks, system: System, layer: _Layer, engine: Sigmoid) -> None:
+    """Fill in the rows of the smoothed friction law."""
+    near, (atol, _, safety) = block.friction, _inside(engine)
+    block.steep, block.hidden, block.peak = 1.0 / layer.delta, layer.hidden, layer.peak
+    block.passed = limits.PASSED * safety
+    block.of_tail = max(1.0, limits.OF_TAIL / safety)
+    block.at_peak = limits.OF_ROOT * np.sqrt(engine.atol + engine.rtol)
+    fine = np.minimum(limits.FINE * layer.delta ** (2.0 / 3.0), 1.0)
+    block.fine = np.where(layer.peak < np.inf, fine, 1.0)
+    if system.weakening is not None:
+        block.weakening = system.weakening.steepness * layer.delta
+        block.far = np.divide(system.slip_friction[1], near, out=np.ones_like(near), where=near > 0)
+    # beyond this friction is kinetic, to the tolerance
+    block.reach = 1.0 + 0.5 * np.log1p(2.0 * near * (1.0 + 2.0 * layer.hidden) / (safety * atol))
 
 
 @once_a_system
@@ -185,7 +174,7 @@ def _given(system: System, engine: Sigmoid) -> _Given:
 
 
 class _Runs(WaveformRuns):
-    kernel = staticmethod(advance)
+    kernel = staticmethod(frame(way, __name__))
 
     def __init__(self, engine: Sigmoid, tasks: Sequence[Task]) -> None:
         systems = self.systems = [task.system for task in tasks]
@@ -193,11 +182,11 @@ class _Runs(WaveformRuns):
         given = _given(system, engine) if len(tasks) == 1 else _Given.of(systems, engine)
         super().__init__(tasks, given.tables)
         self.engine, self.is_of_one_type, self.stalled = engine, system.is_plain, given.stalled
-        layer, (atol, _rtol, self.safety) = given.layer, given.inside
-        self.layer, self.inside, self.models = layer, given.inside, given.models
+        layer, (atol, _, self.safety) = given.layer, given.inside
+        self.layer, self.models, self.thresholds = layer, given.models, engine.thresholds
         self.longest = atol / (limits.CREEP * layer.widest)
         if self.drives[0].is_forced:
-            self.models = self.models._replace(forcing=course.forcing_of(self.drives))
+            self.models = self.models._replace(forcing=course.stack([self.drives[0].forcing]))
         self.modes = _modes(self.block, self.models.bands, layer)
         self.initial_modes = self.modes.copy()
         self.collapse = [
@@ -210,62 +199,37 @@ class _Runs(WaveformRuns):
         self.events_a_step = PASSES * (system.n + n_substeps) * self.modes.shape[1]
         self.work = Workspace.of(self.tables, self.modes, self.drives[0].is_forced, n_substeps)
         self.work.next_h[:], common = limits.FIRST_SUBSTEP * steps[:, np.newaxis], Shared(self.work.shared)
-        common.atol, common.rtol, common.safety = self.inside
+        common.atol, common.rtol, common.safety = given.inside
         self.states.clock[:, limits.JUMPED] = 1.0
+        self.settling: dict[int, certificates.Settling] = {}
 
     def alone(self, k: int) -> Run:
         return _alone(self.engine, self.tasks[k])
 
-    def plan(self, k: int) -> course.Plan:
-        rest = _Rest(self, k, self.state(k))
-        return super().plan(k)._replace(thresholds=self.engine.thresholds, settles=rest.flow)
-
-
-class _Rest:
-    """Whether the blocks of a run come to rest, without another event by any definition of sticking."""
-
-    def __init__(self, runs: _Runs, k: int, state: course.State) -> None:
-        self._runs, self._k, self._state = runs, k, state
-        self._near = _NEAR_REST * runs.layer.widest
-
-    @cached_property
-    def _friction(self) -> certificates.Friction:
-        return _friction(self._runs.systems[self._k], self._runs.layer)
-
-    @cached_property
-    def _settling(self) -> certificates.Settling:
-        runs, k = self._runs, self._k
-        system, drive, engine = runs.systems[k], runs.drives[k], runs.engine
-        force = drive.value() if drive.is_forced else np.zeros(system.n)
-        allowed = engine.atol + engine.rtol * system.fastest_belt
-        return certificates.Settling(system, drive.belt_speed, force, self._friction, allowed)
-
-    def flow(self) -> certificates.Flow | None:
-        """The motion to the end, if that is certain."""
-        runs, k, (z, w, *_) = self._runs, self._k, self._state
-        system, bands = runs.systems[k], runs.models.bands[k]
-        block = Blocks(runs.tables[k : k + 1, :, : len(z)].copy())
-        if np.abs(w).max() > self._near or not certificates.is_small(system):
+    def settles(self, k: int) -> certificates.Flow | None:
+        """The motion to the end, if all blocks come to rest without another event by any definition of sticking."""
+        system, drive, engine, (z, w, *_) = self.systems[k], self.drives[k], self.engine, self.state(k)
+        if np.abs(w).max() > _NEAR_REST * self.layer.widest or not certificates.is_small(system):
             return None
-        if (found := self._settling.flow(z, w)) is None:
+        friction, belt, bands = _friction(system, self.layer), drive.belt_speed, self.models.bands[k]
+        if k not in self.settling:
+            force = drive.value() if drive.is_forced else np.zeros(system.n)
+            allowed = engine.atol + engine.rtol * system.fastest_belt
+            self.settling[k] = certificates.Settling(system, belt, force, friction, allowed)
+        if (found := self.settling[k].flow(z, w)) is None:
             return None
         flow, of_z, of_w = found
-        belt = runs.drives[k].belt_speed
-        pull = -self._friction.force(-belt) + system.damping * belt
+        pull = -friction.force(-belt) + system.damping * belt
         spread = system.row_sums * of_z
         if system.cross_damping is not None:
             spread = spread + system.cross_sums * of_w
+        block = Blocks(self.tables[k : k + 1, :, : system.n].copy())
         for u in (-belt - of_w, -belt + of_w):
             for force in (pull - spread, pull + spread):
                 block.u0, block.force0 = u, force
-                if (_modes(block, bands, runs.layer) != runs.modes[k]).any():
+                if (_modes(block, bands, self.layer) != self.modes[k]).any():
                     return None
         return flow
-
-
-def _smoothed(layer: _Layer, speed: float, widest: float) -> certificates.Smoothed:
-    """The friction law for certificates, under a belt of speed |v|; `widest` is the largest band of all."""
-    return certificates.Smoothed(speed, layer.delta, layer.hidden, float(layer.band.max()), widest)
 
 
 def _law(system: System) -> tuple[NamedTuple, Floats, Floats]:

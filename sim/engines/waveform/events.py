@@ -146,14 +146,8 @@ def _keeps(hold: Hold, gaps: tuple[float, float], forces: tuple[float, float], m
 @inner
 def _all_marks(hold: Hold, mu: float, peak: float, bears: float, scratch: Floats) -> int:
     """Find the places, in rising order, at which u or F pass a bound that may change the mode; returns how many."""
-    of_u, of_force, poly_u, poly_force, marks, places = (
-        scratch[0],
-        scratch[1],
-        scratch[2],
-        scratch[3],
-        scratch[4],
-        scratch[5],
-    )
+    of_u, of_force, poly_u, poly_force = scratch[0], scratch[1], scratch[2], scratch[3]
+    marks, places = scratch[4], scratch[5]
     n_marks = _marks(poly_u, of_u, 0.0, marks, 0, places)
     if mu > 0.0:
         for sign in (-1.0, 1.0):

@@ -17,11 +17,11 @@ from stickslip.sim.engines.forcing import Forcing
 from stickslip.sim.engines.stacks import Stack
 from stickslip.sim.engines.waveform.control import Control
 from stickslip.sim.engines.waveform.matrices import Matrix
+from stickslip.sim.kernels.emit import Nodes, Row, Table, named
 from stickslip.sim.numerics.arguments import Floats, Ints
 from stickslip.sim.numerics.lanes import WIDTH
-from stickslip.sim.numerics.panels import HEIGHT, SINGLE_HEIGHT
+from stickslip.sim.numerics.panels import SINGLE_HEIGHT
 from stickslip.sim.numerics.radau import STAGES
-from stickslip.sim.numerics.tables import Nodes, Row, Table, named
 
 
 class Blocks(Table, nodes=STAGES):
@@ -278,11 +278,3 @@ def _workspace(n: int, width: int, has_forcing: bool, most: int, is_exact: bool,
         changes=Changes(x, block, modes, slope, braked, count, series, order, share),
         there=Buffers(np.empty(1), np.empty((1, n)), np.empty((1, n))),
     )
-
-
-def blank_tables(several: int, n: int) -> Floats:
-    """Tables of n blocks, shape (several, rows, p); columns beyond the last block have harmless numbers."""
-    tables = np.zeros((several, Blocks.n_rows, -(-n // HEIGHT) * HEIGHT))
-    block = Blocks(tables)
-    block.steep = block.h = block.done = block.tolerance = 1.0
-    return tables

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from stickslip.sim.engines import course
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.forcing import Drive
-from stickslip.sim.engines.stacks import Several
+from stickslip.sim.engines.several import Several
 from stickslip.sim.engines.waveform import control
 from stickslip.sim.engines.waveform.control import Control
-from stickslip.sim.engines.waveform.layout import Blocks, Model, Workspace, blank_tables
+from stickslip.sim.engines.waveform.layout import Blocks, Model, Workspace
 from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.panels import HEIGHT
 from stickslip.sim.systems.system import System
 
 
@@ -54,17 +55,9 @@ class WaveformRuns(Several):
         """
         block = self.block
         changes = np.maximum(block.speed_before, np.abs(block.damping * block.u0 + block.force0)).max(axis=1)
-        steps = np.array(
-            [
-                min(length, control.LONGEST_FIRST, scale * control.first_step(tol, max(change, most)))
-                for length, change, most in zip(
-                    self.lengths.tolist(),
-                    changes.tolist(),
-                    (task.system.most_friction for task in self.tasks),
-                    strict=True,
-                )
-            ]
-        )
+        speeds = np.maximum(changes, [task.system.most_friction for task in self.tasks]).tolist()
+        firsts = [min(control.LONGEST_FIRST, scale * control.first_step(tol, speed)) for speed in speeds]
+        steps = np.minimum(self.lengths, firsts)
         self.states = course.State.at_start(self.tasks, modes[:, 0].copy(), [(step, 1.0, 0.0, 0.0) for step in steps])
         self.single_rates = control.single_rate(block.row_sum.max(axis=1)) / control.SINGLE_SHARE
         return steps
@@ -77,9 +70,11 @@ class WaveformRuns(Several):
 
 
 def tables_of(systems: Sequence[System]) -> Floats:
-    """Tables of `Blocks` with the rows that systems fill in."""
-    tables = blank_tables(len(systems), systems[0].n)
-    block = Blocks(tables[..., : systems[0].n])
+    """Tables of `Blocks` with the rows that systems fill in; columns beyond the last block have harmless numbers."""
+    n = systems[0].n
+    tables = np.zeros((len(systems), Blocks.n_rows, -(-n // HEIGHT) * HEIGHT))
+    whole, block = Blocks(tables), Blocks(tables[..., :n])
+    whole.steep = whole.h = whole.done = whole.tolerance = 1.0
     block.damping, block.static, block.closed, block.friction, block.row_sum = np.array(
         [[one.damping, one.static, one.closed, one.slip_friction[0], one.row_sums] for one in systems]
     ).swapaxes(0, 1)

@@ -17,8 +17,7 @@ import numpy as np
 from stickslip.sim.engines import course
 from stickslip.sim.engines.course import Events, State
 from stickslip.sim.engines.forcing import BELT, DRAG, JUMP, value_at
-from stickslip.sim.engines.frame import Way, frame
-from stickslip.sim.engines.precheck import Precheck
+from stickslip.sim.engines.frame import Way
 from stickslip.sim.engines.waveform import control as limits
 from stickslip.sim.engines.waveform.collocation import force, force_changed, predict
 from stickslip.sim.engines.waveform.control import (
@@ -369,7 +368,7 @@ def _enter(run: Run) -> None:
 
 @inner
 def _carry(
-    run: Run, window: Window, is_after_event: bool, precheck: Precheck, events: Events, n_recorded: int
+    run: Run, window: Window, is_after_event: bool, events: Events, n_recorded: int
 ) -> tuple[Window, int, bool]:
     """Take a macro step, if it can be solved; see `frame.Way`."""
     model, work, goal, state = run.model, run.work, run.goal, run.state
@@ -400,4 +399,4 @@ def _carry(
     return Window(h, True), n_recorded, False
 
 
-take = frame(Way(_blank, _open, _note, _at, _carry, _enter))
+way = Way(_blank, _open, _note, _at, _carry, _enter)

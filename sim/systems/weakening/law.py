@@ -85,7 +85,10 @@ class Weakening(ABC):
         Raises `ValueError` if S(0) is not 1, or S is not finite, jumps, or bends too often.
         """
         law = type(self)
-        _require_start(law)
+        start = float(_values(law, np.zeros(1))[0])
+        if not abs(start - 1.0) <= _ROUNDING:
+            got = f"{apart(start, 1.0)[0]} from the shape of {law.__name__}"
+            raise ValueError(f"weakening: expected a law with S(0) = 1, got {got}")
         return sampled(partial(_values, law), FASTEST, f"weakening: {law.__name__}")
 
     @cached_property
@@ -205,12 +208,3 @@ def _values(law: type[Weakening], x: Floats) -> Floats:
     if y.shape != x.shape or y.dtype.kind not in "fiu":
         raise TypeError(f"{name}: expected a real number for each of {x.size} x, got {y.dtype} of shape {y.shape}")
     return y.astype(np.float64)
-
-
-def _require_start(law: type[Weakening]) -> None:
-    """ValueError if S(0) is not 1."""
-    start = float(_values(law, np.zeros(1))[0])
-    if not abs(start - 1.0) <= _ROUNDING:
-        raise ValueError(
-            f"weakening: expected a law with S(0) = 1, got {apart(start, 1.0)[0]} from the shape of {law.__name__}"
-        )
