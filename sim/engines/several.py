@@ -204,6 +204,10 @@ class Several(ABC):
     def _series(self, k: int, events: Events, piece: NDArray[np.intp], t: Floats, t_end: float) -> list[EventSeries]:
         """The series by each definition of sticking, the first without touches that its error cannot tell."""
         n, t_start = self.tasks[k].system.n, self.tasks[k].t_start
+        if not len(t):
+            return [
+                EventSeries(t, events.block, events.mode, modes, t_start, t_end) for modes in self.initial_modes[k]
+            ]
         order = np.lexsort((events.block, t))  # stable: instants that round to one time keep each block's order
         t, s, block, mode = t[order], events.t[order], events.block[order], events.mode[order]
         series = []
