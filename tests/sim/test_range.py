@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stickslip.sim import IntegrationError, System, simulate
-from stickslip.sim.engines import course
+from stickslip.sim.engines import several
 
 #: Where blocks may slip throughout, an end far away is warned of.
 pytestmark = pytest.mark.filterwarnings("ignore:system. damping up to .* allow steps of:RuntimeWarning")
@@ -84,7 +84,7 @@ def test_a_block_that_is_carried_leaves_when_it_should_however_far_the_end():
 )
 def test_a_run_that_nothing_ends_is_given_up_in_one_line(damping, friction, v, t_end, settings, monkeypatch):
     """Swinging, creeping or free for ever: after some steps it is certain that the rest takes too many."""
-    monkeypatch.setattr(course, "_TRIED", 2e4)
+    monkeypatch.setattr(several, "_TRIED", 2e4)
     system = System([[2.0, -1.0], [-1.0, 2.0]], damping, friction, v)
     with pytest.raises(IntegrationError, match=r"t_end: .* steps led to .* shorten the run"):
         simulate(system, [3.0, 1.0], [0.0, 0.3], t_end, **settings)

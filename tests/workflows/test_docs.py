@@ -398,7 +398,7 @@ def test_what_the_steps_name_is_there():
     )
     source = "\n".join(file.read_text() for file in files if file != Path(__file__))
     named = set(re.findall(r"`(?:[a-z]+\.)*([A-Za-z_]\w+)`", text))
-    assert {"COUPLINGS", "CHARTS", "QUESTIONS", "complete"} <= named
+    assert {"COUPLINGS", "CHARTS", "QUESTIONS", "Several"} <= named
     assert [name for name in sorted(named) if not re.search(rf"\b{name}\b", source)] == []
 
 
