@@ -67,8 +67,9 @@ def read_shards(place: Place, shards: Mapping[str, Shard]) -> Iterator[tuple[str
         yield name, content if isinstance(content, bytes) else b"", shard.damage(content)
 
 
-# the pattern keeps a foreign manifest from naming files outside the dataset
-ShardName = Annotated[str, Field(pattern=r"^shard-\d{5,}-[0-9a-f]{12}\.parquet$")]
+#: The names of shards; the pattern keeps a foreign manifest from naming files outside the dataset.
+SHARD: Final = r"shard-[0-9]{5,10}-[0-9a-f]{12}\.parquet"
+ShardName = Annotated[str, Field(pattern=f"^{SHARD}$")]
 
 
 class Manifest(BaseModel):
@@ -138,6 +139,10 @@ def _json(values: dict[str, object]) -> str:
     return json.dumps(values, sort_keys=True)
 
 
+#: How the line of a commit begins.
+_HEAD: Final = b'{"check": "'
+
+
 class Commit(BaseModel):
     """A line of the record of the commits: a shard as it was written, by which program, when and where."""
 
@@ -162,6 +167,11 @@ class Commit(BaseModel):
             commit = cls.model_validate({key: value for key, value in json.loads(line).items() if key != "check"})
             return commit if json.loads(commit.line) == json.loads(line) else None
         return None
+
+    @staticmethod
+    def can_begin(tail: bytes) -> bool:
+        """Whether a last line, which a crash may have cut short, is the beginning of a commit's."""
+        return tail[: len(_HEAD)] == _HEAD[: len(tail)]
 
 
 class Result(NamedTuple):

@@ -79,6 +79,11 @@ class Lock:
                 until = number(words)
         return cls(owner, int(match[1]), match[2], notes, until, token)
 
+    @classmethod
+    def is_one(cls, content: bytes) -> bool:
+        """Whether it is a lock of ours, or what a crash leaves of one: nothing, or the beginning of a line."""
+        return cls.parse(content) is not None or (b"\n" not in content and b"process "[: len(content)] == content[:8])
+
     @property
     def remaining(self) -> float:
         """Seconds that a lease still runs."""
