@@ -163,7 +163,8 @@ class Commit(BaseModel):
     @classmethod
     def parse(cls, line: bytes) -> Commit | None:
         """The commit in a line; None if it is damaged, or of a version that kept only times."""
-        with contextlib.suppress(ValueError, AttributeError):  # no JSON, no table; pydantic's is a ValueError too
+        # no JSON, no table, too deep; pydantic's is a ValueError too
+        with contextlib.suppress(ValueError, AttributeError, RecursionError):
             commit = cls.model_validate({key: value for key, value in json.loads(line).items() if key != "check"})
             return commit if json.loads(commit.line) == json.loads(line) else None
         return None

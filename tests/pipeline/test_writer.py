@@ -530,7 +530,8 @@ def test_a_run_that_was_killed_is_told_by_manifest_and_record_together(copy, sce
     (copy / "timings.jsonl").write_bytes(record[:-20])  # cut short by a crash
     assert set(read_manifest(copy).shards) == {json.loads(line)["shard"] for line in lines[1:-1]}
     assert len(query.members(copy)) == sum(shard.rows for shard in read_manifest(copy).shards.values())
-    for spoilt in (record.replace(b'"rows"', b'"rowz"'), record.replace(b'"rows": 3', b'"rows": 2'), lines[0][:-5]):
+    deep = b"[" * 200_000 + b"\n"
+    for spoilt in (record + deep, record.replace(b'"rows"', b'"rowz"'), record.replace(b'"rows": 3', b'"rows": 2'), lines[0][:-5]):
         (copy / "timings.jsonl").write_bytes(spoilt)
         for look in (status, verify, query.members):
             with pytest.raises(StoreError, match=r"timings\.jsonl: expected the commits .*; rerun the scene"):
