@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 from stickslip.pipeline.dataset.opened import Opened, open_dataset, rows_that_failed
 from stickslip.pipeline.ensemble.pack import Batch, number_of
+from stickslip.pipeline.errors import StoreError, command
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.manifest import Shard
-from stickslip.pipeline.places.place import LOCK, Lock, Where, number
+from stickslip.pipeline.places.place import LOCK, MANIFEST, Lock, Where, number
 from stickslip.pipeline.places.plain import is_alive
 
 
@@ -131,6 +132,13 @@ def status(path: Where | Opened) -> Status:
     """
     opened = open_dataset(path)
     place, shards = opened.place, opened.manifest.shards
+    sizes = {batch.name: len(batch.members) for batch in opened.tasks}
+    for name, shard in shards.items():
+        if name in sizes and shard.rows != sizes[name]:
+            raise StoreError(
+                f"{place.named(MANIFEST)}: expected {sizes[name]} rows in {name}, got {shard.rows};"
+                f" `{command('verify', str(place))}` says what else differs"
+            )
     tally = Tally.of(opened.tasks, shards)
     # after the manifest was read: a shard is there before it is listed
     lost = opened.lost

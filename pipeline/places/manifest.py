@@ -31,6 +31,9 @@ from stickslip.pipeline.places.place import DATA, MANIFEST, PACKAGE, TIMINGS, Pl
 #: Version of what a dataset holds, and how; kept in every shard and in the manifest.
 SCHEMA_VERSION: Final = 3
 
+#: The largest number of bytes or rows, as Arrow and file systems count.
+_LARGEST: Final = 2**63 - 1
+Count = Annotated[int, Field(ge=1, le=_LARGEST)]
 Outcome = Annotated[str, Field(pattern=r"^(finished|collapsed|diverged|failed)$")]
 
 
@@ -39,11 +42,11 @@ class Shard(BaseModel):
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-    rows: Annotated[int, Field(ge=1)]
-    bytes: Annotated[int, Field(ge=1)]
+    rows: Count
+    bytes: Count
     first: str
     last: str
-    outcomes: dict[Outcome, Annotated[int, Field(ge=1)]]
+    outcomes: dict[Outcome, Count]
 
     @property
     def n_failed(self) -> int:
@@ -88,9 +91,9 @@ class Manifest(BaseModel):
     scene_hash: str
     programs: list[str] = []
     earlier: list[str] = []
-    packing: list[list[Annotated[int, Field(ge=1)]]]
+    packing: list[list[Count]]
     shards: dict[ShardName, Shard] = {}
-    recorded_from: Annotated[int, Field(ge=0)] | None = None
+    recorded_from: Annotated[int, Field(ge=0, le=_LARGEST)] | None = None
     design: dict[str, JsonValue] | None = None
     package: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
 

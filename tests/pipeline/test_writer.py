@@ -291,6 +291,22 @@ def test_wrong_rows_and_wrong_members_are_found_behind_a_right_sha256(copy):
     assert "expected the outcomes {'failed': 1}, got" in outcomes
 
 
+@pytest.mark.parametrize(
+    "change", [{"bytes": 10**400}, {"rows": 10**30}, {"rows": 99}, {"name": "9" * 5000}, {"name": "\u0661" * 5}]
+)
+def test_numbers_that_no_shard_has_are_refused(copy, change):
+    manifest, victim = read_manifest(copy), shards(copy)[0].name
+    entry = manifest.shards.pop(victim)
+    name = victim.replace("00000", change.pop("name", "00000"))
+    manifest.shards[name] = entry.model_copy(update=change)
+    (copy / "manifest.json").write_bytes(manifest.to_bytes())
+    with pytest.raises(StoreError, match=r"manifest\.json: expected .*, got"):
+        status(copy)
+    if change != {"rows": 99}:  # else it is read, and named by the audit
+        with pytest.raises(StoreError, match=r"manifest\.json: expected a manifest, got something damaged"):
+            verify(copy)
+
+
 def test_page_checksums_catch_a_flipped_bit_that_the_manifest_does_not_know(copy):
     victim = shards(copy)[0]
     column = pq.read_metadata(victim).row_group(0).column(0)
@@ -531,7 +547,12 @@ def test_a_run_that_was_killed_is_told_by_manifest_and_record_together(copy, sce
     assert set(read_manifest(copy).shards) == {json.loads(line)["shard"] for line in lines[1:-1]}
     assert len(query.members(copy)) == sum(shard.rows for shard in read_manifest(copy).shards.values())
     deep = b"[" * 200_000 + b"\n"
-    for spoilt in (record + deep, record.replace(b'"rows"', b'"rowz"'), record.replace(b'"rows": 3', b'"rows": 2'), lines[0][:-5]):
+    for spoilt in (
+        record + deep,
+        record.replace(b'"rows"', b'"rowz"'),
+        record.replace(b'"rows": 3', b'"rows": 2'),
+        lines[0][:-5],
+    ):
         (copy / "timings.jsonl").write_bytes(spoilt)
         for look in (status, verify, query.members):
             with pytest.raises(StoreError, match=r"timings\.jsonl: expected the commits .*; rerun the scene"):
