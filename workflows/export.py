@@ -21,6 +21,7 @@ from stickslip.analysis.page import AS_TEXT, FORMULA
 from stickslip.pipeline import QueryError
 from stickslip.pipeline.dataset.opened import frame
 from stickslip.pipeline.errors import printable, remedy
+from stickslip.pipeline.machine.processes import closed_streams
 from stickslip.pipeline.places import plain
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
@@ -66,7 +67,7 @@ def write(batches: pa.RecordBatchReader, form: Form, out: Path | None, dataset: 
     if out is not None:
         with whole(out, dataset) as stream:
             _write(batches, form, stream)
-    elif sys.stdout is None:
+    elif sys.stdout is None or "stdout" in closed_streams:
         raise QueryError("the standard output is closed; name a file by --out")
     elif form in ("parquet", "mat") and sys.stdout.isatty():
         raise QueryError(f"--format: {form} is not for reading; name a file by --out, or send it to a program by |")

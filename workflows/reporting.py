@@ -283,7 +283,7 @@ def findings(where: Where) -> pd.DataFrame:
         tables = frame_of(Said, (head for head, _ in rows)), frame_of(Row, (row for _, row in rows))
         unsaid = ["form"] + ["measured_in"] * (not opened.scene.unit_names)
         return pd.concat(tables, axis="columns").drop(columns=unsaid)
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise StoreError(
             f"{opened.place}: {FINDINGS} is damaged ({error}); `stickslip report DIR` writes it"
         ) from None

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
+import os
 import re
 import tomllib
 from collections.abc import Iterator
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from stickslip.pipeline.errors import command
+from stickslip.pipeline.places.directory import Directory
 from stickslip.workflows.scenes import shipped
 
 #: The schema that a new scene's first line names, beside the scene.
@@ -62,16 +63,15 @@ def new_scene(file: Path) -> list[str]:
         raise NotWritten(f"FILE: expected the name of a new file, got the directory {str(file)!r}; name a file in it")
     if file.suffix != ".toml":
         file = file.with_name(f"{file.name}.toml")
-    try:
-        with file.open("x", encoding="utf-8") as stream:
-            stream.write(_HEAD.format(schema=SCHEMA, run=command("run", file.name)) + _body())
-    except FileExistsError:
+    if os.path.lexists(file):
         raise NotWritten(
             f"FILE: expected a name that is free, got {str(file)!r}, which exists; choose another, or remove it"
-        ) from None
+        )
     beside, run = file.with_name(SCHEMA), command("run", str(file))
-    with contextlib.suppress(FileExistsError), beside.open("x", encoding="utf-8") as stream:
-        stream.write(schema_text(None))
+    files = {file.name: lambda: (_HEAD.format(schema=SCHEMA, run=command("run", file.name)) + _body()).encode()}
+    if not os.path.lexists(beside):
+        files[SCHEMA] = lambda: schema_text(None).encode()
+    Directory(file.parent).replace_all(files)
     return [
         f"scene   {file}",
         f"schema  {beside}: editors with a TOML language server complete and check the scene by it",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import socket
 import time
 from collections import Counter
@@ -12,9 +11,10 @@ from typing import NamedTuple
 
 from stickslip.pipeline.dataset.opened import Opened, open_dataset, rows_that_failed
 from stickslip.pipeline.ensemble.pack import Batch, number_of
+from stickslip.pipeline.errors import StoreError, command
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.manifest import Shard
-from stickslip.pipeline.places.place import LOCK, Lock, Where
+from stickslip.pipeline.places.place import LOCK, MANIFEST, Lock, Where, number
 from stickslip.pipeline.places.plain import is_alive
 
 
@@ -94,8 +94,8 @@ class Pace(NamedTuple):
     @classmethod
     def parse(cls, words: str) -> Pace:
         """Read what the line says; ValueError if it cannot be read."""
-        time_of, n_members, cost, n_shards, n_workers = words.split()
-        return cls(float(time_of), int(n_members), float(cost), int(n_shards), int(n_workers))
+        at, n_members, cost, n_shards, n_workers = map(number, words.split())
+        return cls(at, int(n_members), cost, int(n_shards), int(n_workers))
 
 
 @dataclass(frozen=True)
@@ -132,6 +132,13 @@ def status(path: Where | Opened) -> Status:
     """
     opened = open_dataset(path)
     place, shards = opened.place, opened.manifest.shards
+    sizes = {batch.name: len(batch.members) for batch in opened.tasks}
+    for name, shard in shards.items():
+        if name in sizes and shard.rows != sizes[name]:
+            raise StoreError(
+                f"{place.named(MANIFEST)}: expected {sizes[name]} rows in {name}, got {shard.rows};"
+                f" `{command('verify', str(place))}` says what else differs"
+            )
     tally = Tally.of(opened.tasks, shards)
     # after the manifest was read: a shard is there before it is listed
     lost = opened.lost
@@ -153,17 +160,16 @@ def status(path: Where | Opened) -> Status:
 
 
 def running(path: Where) -> Running | None:
-    """Who writes the dataset now, if anybody does: a dead process leaves an empty lock."""
+    """Who writes the dataset now, if anybody does: a dead process may leave a lock, and others what is none."""
     place = place_of(path)
     try:
         lock = Lock.parse(place.read(LOCK))
     except OSError:
         return None
-    owner = re.fullmatch(r"process (\d+) on (.*)", lock.owner)
-    if owner is None or (owner[2] == socket.gethostname() and not is_alive(int(owner[1]))) or not lock.is_held:
+    if lock is None or not lock.is_held or (lock.host == socket.gethostname() and not is_alive(lock.pid)):
         return None
     try:
         pace = Pace.parse(lock.notes["pace"]) if "pace" in lock.notes else None
-        return Running(lock.owner, float(lock.notes["began"].split()[0]), lock.notes.get("dashboard"), pace)
-    except (KeyError, ValueError):  # it has only just begun
+        return Running(lock.owner, number(lock.notes["began"].split()[0]), lock.notes.get("dashboard"), pace)
+    except (LookupError, ValueError):  # it has only just begun
         return None

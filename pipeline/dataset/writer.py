@@ -21,6 +21,8 @@ from stickslip.pipeline.machine.signals import last_act, unbroken
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.manifest import (
+    SHARD,
+    Commit,
     DamagedManifest,
     Manifest,
     Result,
@@ -29,7 +31,19 @@ from stickslip.pipeline.places.manifest import (
     read_manifest,
     read_shards,
 )
-from stickslip.pipeline.places.place import DATA, LOCK, MANIFEST, PACKAGE, SCENE, TEMPORARY, TIMINGS, Place, Where
+from stickslip.pipeline.places.place import (
+    DATA,
+    LOCK,
+    MANIFEST,
+    PACKAGE,
+    SCENE,
+    TEMPORARY,
+    TIMINGS,
+    Lock,
+    Place,
+    Where,
+)
+from stickslip.pipeline.places.plain import unfinished
 from stickslip.pipeline.records import End
 from stickslip.pipeline.scene.scene import Scene
 from stickslip.pipeline.scene.source import parse_toml
@@ -39,7 +53,10 @@ log = logging.getLogger(__name__)
 #: Seconds that a program which ends at once spends on cleaning up in a store, which may not answer.
 _LAST_SECONDS = 1.5
 
-_LEFT = re.compile(rf"{DATA}/shard-.*\.parquet|(.*/)?{re.escape(TEMPORARY)}[^/]*")
+#: Names that this program makes: of shards; of what it is writing, on any machine, or tries in a store.
+_OURS = re.compile(f"{DATA}/{SHARD}")
+_WRITTEN = "|".join([SHARD, *map(re.escape, (MANIFEST, SCENE, PACKAGE))])
+_BEGUN = re.compile(f"({DATA}/)?{unfinished(f'({_WRITTEN})', '[^/]+')}|{re.escape(TEMPORARY)}[0-9a-f]{{32}}")
 
 #: Keys that a refusal names at most, of those by which a scene differs from that of the data.
 _SHOWN = 5
@@ -148,7 +165,8 @@ class Store:
     def _leftovers(self, manifest: Manifest) -> list[str]:
         """What a crash may have left: files that were being written, and shards that were not committed."""
         names = {f"{DATA}/{name}" for name in manifest.shards}
-        return [name for name in self.place.names() if name not in names and _LEFT.fullmatch(name)]
+        left = [name for name in self.place.names() if _OURS.fullmatch(name) or _BEGUN.fullmatch(name)]
+        return [name for name in left if name not in names]
 
     def _remove(self, name: str) -> None:
         with contextlib.suppress(OSError):
@@ -162,14 +180,16 @@ class Store:
         """The manifest found here, or a new one if nothing is here; else a refusal."""
         self.place.check_parts()
         names = self.place.names()
+        self._check_owner(names)
         if MANIFEST not in names:
             # a crash before the first manifest leaves no more than these
-            if all(name in (LOCK, DATA, TIMINGS) or name.startswith(TEMPORARY) for name in names):
+            others = [name for name in names if name not in (LOCK, DATA, TIMINGS) and not _BEGUN.fullmatch(name)]
+            if not others:
                 return self._fresh
             return self._recorded(
                 StoreError(
-                    f"{self.place}: expected a dataset or an empty directory, got files but no {MANIFEST}; "
-                    f"choose another directory"
+                    f"{self.place}: expected a dataset or an empty directory, got files ({others[0]}) but no "
+                    f"{MANIFEST}; choose another directory"
                 )
             )
         try:
@@ -177,6 +197,20 @@ class Store:
         except DamagedManifest as error:
             return self._recorded(error)
         return manifest if manifest.scene_hash == self.scene.hash else self._grown(manifest)
+
+    def _check_owner(self, names: Sequence[str]) -> None:
+        """Refuse a lock that this program never writes and, where nothing else is of a dataset, such a record."""
+        (lock,) = self.place.read_each([LOCK]) if LOCK in names else (None,)
+        foreign = [] if lock is None or Lock.is_one(lock) else [(LOCK, "lock")]
+        if TIMINGS in names and MANIFEST not in names and not any(map(_OURS.fullmatch, names)):
+            *lines, tail = self.place.read_record(TIMINGS).split(b"\n")
+            if None in map(Commit.parse, lines) or not Commit.can_begin(tail):
+                foreign.append((TIMINGS, "record of commits"))
+        for name, what in foreign:
+            raise StoreError(
+                f"{self.place.named(name)}: expected a {what} of this program, got something else; remove it, or"
+                " choose another directory"
+            )
 
     def _recorded(self, refusal: StoreError) -> Manifest:
         """The manifest as the record of the commits has it, if the directory is this scene's; else the refusal."""

@@ -58,7 +58,7 @@ class Batch:
 
 def number_of(name: str) -> int:
     """The number of a shard, from its name; -1 if it is not the name of one."""
-    match = re.match(r"shard-(\d+)-", name)
+    match = re.match(r"shard-([0-9]{1,10})-", name)
     return -1 if match is None else int(match[1])
 
 

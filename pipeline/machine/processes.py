@@ -62,6 +62,10 @@ def frugal() -> Iterator[None]:
         yield
 
 
+#: The standard streams that this process was started without.
+closed_streams: set[str] = set()
+
+
 def open_streams() -> None:
     """Open those of the three standard streams that this process was started without, as by ``2>&-``, on nothing.
 
@@ -72,6 +76,7 @@ def open_streams() -> None:
     os.close(opened)
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
+            closed_streams.add(name)
             setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115  for good
 
 

@@ -31,6 +31,9 @@ from stickslip.pipeline.places.place import DATA, MANIFEST, PACKAGE, TIMINGS, Pl
 #: Version of what a dataset holds, and how; kept in every shard and in the manifest.
 SCHEMA_VERSION: Final = 3
 
+#: The largest number of bytes or rows, as Arrow and file systems count.
+_LARGEST: Final = 2**63 - 1
+Count = Annotated[int, Field(ge=1, le=_LARGEST)]
 Outcome = Annotated[str, Field(pattern=r"^(finished|collapsed|diverged|failed)$")]
 
 
@@ -39,11 +42,11 @@ class Shard(BaseModel):
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-    rows: Annotated[int, Field(ge=1)]
-    bytes: Annotated[int, Field(ge=1)]
+    rows: Count
+    bytes: Count
     first: str
     last: str
-    outcomes: dict[Outcome, Annotated[int, Field(ge=1)]]
+    outcomes: dict[Outcome, Count]
 
     @property
     def n_failed(self) -> int:
@@ -67,8 +70,9 @@ def read_shards(place: Place, shards: Mapping[str, Shard]) -> Iterator[tuple[str
         yield name, content if isinstance(content, bytes) else b"", shard.damage(content)
 
 
-# the pattern keeps a foreign manifest from naming files outside the dataset
-ShardName = Annotated[str, Field(pattern=r"^shard-\d{5,}-[0-9a-f]{12}\.parquet$")]
+#: The names of shards; the pattern keeps a foreign manifest from naming files outside the dataset.
+SHARD: Final = r"shard-[0-9]{5,10}-[0-9a-f]{12}\.parquet"
+ShardName = Annotated[str, Field(pattern=f"^{SHARD}$")]
 
 
 class Manifest(BaseModel):
@@ -87,9 +91,9 @@ class Manifest(BaseModel):
     scene_hash: str
     programs: list[str] = []
     earlier: list[str] = []
-    packing: list[list[Annotated[int, Field(ge=1)]]]
+    packing: list[list[Count]]
     shards: dict[ShardName, Shard] = {}
-    recorded_from: Annotated[int, Field(ge=0)] | None = None
+    recorded_from: Annotated[int, Field(ge=0, le=_LARGEST)] | None = None
     design: dict[str, JsonValue] | None = None
     package: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
 
@@ -138,6 +142,10 @@ def _json(values: dict[str, object]) -> str:
     return json.dumps(values, sort_keys=True)
 
 
+#: How the line of a commit begins.
+_HEAD: Final = b'{"check": "'
+
+
 class Commit(BaseModel):
     """A line of the record of the commits: a shard as it was written, by which program, when and where."""
 
@@ -158,10 +166,16 @@ class Commit(BaseModel):
     @classmethod
     def parse(cls, line: bytes) -> Commit | None:
         """The commit in a line; None if it is damaged, or of a version that kept only times."""
-        with contextlib.suppress(ValueError, AttributeError):  # no JSON, no table; pydantic's is a ValueError too
+        # no JSON, no table, too deep; pydantic's is a ValueError too
+        with contextlib.suppress(ValueError, AttributeError, RecursionError):
             commit = cls.model_validate({key: value for key, value in json.loads(line).items() if key != "check"})
             return commit if json.loads(commit.line) == json.loads(line) else None
         return None
+
+    @staticmethod
+    def can_begin(tail: bytes) -> bool:
+        """Whether a last line, which a crash may have cut short, is the beginning of a commit's."""
+        return tail[: len(_HEAD)] == _HEAD[: len(tail)]
 
 
 class Result(NamedTuple):

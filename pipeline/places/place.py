@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import socket
 import time
 from abc import ABC, abstractmethod
@@ -23,6 +24,10 @@ TEMPORARY = ".tmp-"
 AT_ONCE = 16
 #: Bytes of a part that is no shard: a manifest of a million shards has fewer.
 _MOST = 2**29
+#: Who holds a lock, as `this_process` says it.
+_OWNER = re.compile(r"process ([0-9]{1,10}) on (.+)")
+#: The largest number that a lock can hold.
+_LARGEST = 1e15
 
 
 def check_size(n_bytes: int) -> None:
@@ -52,22 +57,32 @@ class Lock:
     """The content of a lock: its owner, the owner's notes and, in an object store, a token and when it expires."""
 
     owner: str
+    pid: int
+    host: str
     notes: dict[str, str]
     until: float | None  #: None: no lease, the kernel knows whether it is held
     token: str
 
     @classmethod
-    def parse(cls, content: bytes) -> Lock:
-        """Read a lock; a lease that cannot be read is void."""
+    def parse(cls, content: bytes) -> Lock | None:
+        """Read a lock; None if it is none of ours. A lease that cannot be read is void."""
         owner, *lines = content.decode(errors="replace").splitlines() or [""]
+        match = _OWNER.fullmatch(owner)
+        if match is None:
+            return None
         notes = dict(line.partition(" ")[::2] for line in lines)
-        if "lease" not in notes:
-            return cls(owner, notes, None, "")
-        until, _, token = notes.pop("lease").partition(" ")
-        try:
-            return cls(owner, notes, float(until), token)
-        except ValueError:
-            return cls(owner, notes, 0.0, token)
+        until, token = None, ""
+        if "lease" in notes:
+            words, _, token = notes.pop("lease").partition(" ")
+            until = 0.0
+            with contextlib.suppress(ValueError):
+                until = number(words)
+        return cls(owner, int(match[1]), match[2], notes, until, token)
+
+    @classmethod
+    def is_one(cls, content: bytes) -> bool:
+        """Whether it is a lock of ours, or what a crash leaves of one: nothing, or the beginning of a line."""
+        return cls.parse(content) is not None or (b"\n" not in content and b"process "[: len(content)] == content[:8])
 
     @property
     def remaining(self) -> float:
@@ -78,6 +93,14 @@ class Lock:
     def is_held(self) -> bool:
         """Whether it is held, by what it says."""
         return self.until is None or self.remaining > 0.0
+
+
+def number(word: str) -> float:
+    """A number of a lock; `ValueError` if it is none, or none that a lock can hold."""
+    value = float(word)
+    if not abs(value) <= _LARGEST:
+        raise ValueError(f"expected a number of at most {_LARGEST:g}, got {value}")
+    return value
 
 
 class Place(ABC):

@@ -233,12 +233,14 @@ def _begun(name: str) -> str:
     return f"{TEMPORARY}{name}-{socket.gethostname()}-"
 
 
+def unfinished(name: str, host: str) -> str:
+    """The pattern of the names of unfinished copies, of a file and a machine by theirs; the last group is the pid."""
+    return rf"{re.escape(TEMPORARY)}{name}-{host}-([0-9]{{1,9}})-[0-9a-f]{{16}}"
+
+
 def remove_left(directory: int, name: str = "") -> None:
     """Remove the unfinished copies that killed processes of this user left in a folder, of one file or of all."""
-    stem = re.escape(name) if name else ".*"
-    pattern = re.compile(
-        rf"{re.escape(TEMPORARY)}{stem}-{re.escape(socket.gethostname())}-(\d{{1,9}})-[0-9a-f]{{16}}"
-    )
+    pattern = re.compile(unfinished(re.escape(name) if name else ".*", re.escape(socket.gethostname())))
     for entry in os.listdir(directory):
         match = pattern.fullmatch(entry)
         if match is None or is_alive(int(match[1])):

@@ -232,13 +232,15 @@ def foreign_files(world: World, count: int) -> int:
     out = world.copy()
     foreign = [
         out / "notes.txt",
+        out / ".tmp-notes",
+        out / "data" / "shard-notes.parquet",
         out / "data" / "notes.txt",
         out / "data" / "shard-x.csv",
         out / "data" / "old" / "a.parquet",
     ]
     ours = [
-        out / ".tmp-manifest.json",
-        out / "data" / ".tmp-shard",
+        out / ".tmp-manifest.json-elsewhere-77-0123456789abcdef",
+        out / "data" / ".tmp-shard-00099-0123456789ab.parquet-elsewhere-77-0123456789abcdef",
         out / "data" / "shard-00099-0123456789ab.parquet",
     ]
     (out / "data" / "old").mkdir()
@@ -247,7 +249,7 @@ def foreign_files(world: World, count: int) -> int:
 
     def audit() -> None:
         found = {line.split(": ")[0] for line in verify(out)}
-        assert found == {str(file) for file in [*foreign[1:3], out / "data" / "old", *ours]}, found
+        assert found == {str(file) for file in [*foreign[1:5], out / "data" / "old", *ours]}, found
 
     assert world.fork(audit) == 0
     assert world.fork(lambda: world.run(out)) == 0

@@ -112,7 +112,7 @@ def test_a_dataset_is_the_same_wherever_it_is_copied(scene, finished, content, m
 
 def test_files_of_something_else_are_refused_and_left_alone(scene, memory):
     fsspec.filesystem("memory").pipe_file("/bucket/out/thesis.tex", b"all of it")
-    with pytest.raises(StoreError, match=r"got files but no manifest\.json; choose another directory"):
+    with pytest.raises(StoreError, match=r"got files \(.+\) but no manifest\.json; choose another directory"):
         run_ensemble(scene, OUT, workers=0)
     assert objects_of(memory) == {"thesis.tex": b"all of it"}
 

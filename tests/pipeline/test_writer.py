@@ -288,6 +288,22 @@ def test_wrong_rows_and_wrong_members_are_found_behind_a_right_sha256(copy):
     assert "expected the outcomes {'failed': 1}, got" in outcomes
 
 
+@pytest.mark.parametrize(
+    "change", [{"bytes": 10**400}, {"rows": 10**30}, {"rows": 99}, {"name": "9" * 5000}, {"name": "\u0661" * 5}]
+)
+def test_numbers_that_no_shard_has_are_refused(copy, change):
+    manifest, victim = read_manifest(copy), shards(copy)[0].name
+    entry = manifest.shards.pop(victim)
+    name = victim.replace("00000", change.pop("name", "00000"))
+    manifest.shards[name] = entry.model_copy(update=change)
+    (copy / "manifest.json").write_bytes(manifest.to_bytes())
+    with pytest.raises(StoreError, match=r"manifest\.json: expected .*, got"):
+        status(copy)
+    if change != {"rows": 99}:  # else it is read, and named by the audit
+        with pytest.raises(StoreError, match=r"manifest\.json: expected a manifest, got something damaged"):
+            verify(copy)
+
+
 def test_page_checksums_catch_a_flipped_bit_that_the_manifest_does_not_know(copy):
     victim = shards(copy)[0]
     column = pq.read_metadata(victim).row_group(0).column(0)
@@ -367,13 +383,81 @@ def test_shards_of_other_members_are_refused_and_kept(copy, scene):
 
 def test_a_directory_of_something_else_is_refused_and_left_alone(scene, tmp_path):
     (tmp_path / "thesis.tex").write_text("all of it")
-    with pytest.raises(StoreError, match=r"got files but no manifest\.json; choose another directory"):
+    with pytest.raises(StoreError, match=r"got files \(thesis\.tex\) but no manifest\.json; choose another"):
         run_ensemble(scene, tmp_path, workers=0)
     assert [file.name for file in tmp_path.iterdir()] == ["thesis.tex"]
     with pytest.raises(StoreError, match="expected a directory, got a file"):
         run_ensemble(scene, tmp_path / "thesis.tex", workers=0)
     with pytest.raises(StoreError, match=r"expected a dataset, found no manifest\.json"):
         status(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        (
+            ".lock",
+            "pid 77 of my mail program\n",
+            r"\.lock: expected a lock of this program, got something else; remove",
+        ),
+        (".lock", "precious", r"\.lock: expected a lock of this program"),
+        ("timings.jsonl", "precious\nno end", r"timings\.jsonl: expected a record of commits of this program, got"),
+        ("timings.jsonl", "no end", r"timings\.jsonl: expected a record of commits"),
+        (".tmp-notes", "precious", r"got files \(\.tmp-notes\) but no manifest\.json; choose another directory"),
+    ],
+)
+@pytest.mark.parametrize("has_scene", [False, True])
+def test_what_others_left_where_no_dataset_is_stays_as_it_is(
+    name, content, words, has_scene, scene, source, tmp_path
+):
+    """Also where the scene itself lies: its directory may be that of the dataset."""
+    (tmp_path / name).write_text(content)
+    if has_scene:
+        (tmp_path / "scene.toml").write_bytes(source)
+    before = listing(tmp_path)
+    if has_scene and name not in (".lock", "timings.jsonl"):
+        run_ensemble(scene, tmp_path, workers=0)
+        assert before.items() <= listing(tmp_path).items()
+        return
+    for is_dry in (True, False):
+        with pytest.raises(StoreError, match=words):
+            Store(tmp_path, scene).look() if is_dry else run_ensemble(scene, tmp_path, workers=0)
+        assert listing(tmp_path) == before
+
+
+def test_names_that_this_program_never_makes_are_left_alone_in_a_dataset(copy, scene, source):
+    shard, chance = shards(copy)[0].name, "0123456789abcdef"
+    theirs = [
+        ".tmp-notes",
+        "data/shard-notes.parquet",
+        "data/.tmp-shard",
+        "data/shard-\u0661\u0661\u0661\u0661\u0661-0123456789ab.parquet",
+    ]
+    ours = [
+        f".tmp-manifest.json-here-77-{chance}",
+        f"data/.tmp-{shard}-elsewhere-77-{chance}",
+        f".tmp-{2 * chance}",  # of a store, in a copy
+        "data/shard-00099-0123456789ab.parquet",
+    ]
+    for name in theirs + ours:
+        (copy / name).write_text("precious")
+    run_ensemble(scene, copy, workers=0)
+    assert [(copy / name).read_text() for name in theirs] == ["precious"] * len(theirs)
+    assert not [name for name in ours if (copy / name).exists()]
+
+
+@pytest.mark.parametrize("lock", ["", "proc", "process 77 on"])
+@pytest.mark.parametrize("record", ["", '{"chec', '{"check": "0123", "entr'])
+def test_what_a_crash_leaves_before_the_first_commit_is_taken_over(lock, record, scene, tmp_path):
+    (tmp_path / ".lock").write_text(lock)
+    (tmp_path / "timings.jsonl").write_text(record)
+    (tmp_path / ".tmp-manifest.json-here-77-0123456789abcdef").write_text("{")
+    with Store(tmp_path, scene) as store:
+        assert store.todo
+    assert sorted(file.name for file in tmp_path.iterdir()) == [
+        "datapackage.json", "manifest.json", "scene.toml", "timings.jsonl",
+    ]  # fmt: skip
+    assert (tmp_path / "timings.jsonl").read_bytes() == b""
 
 
 @pytest.mark.parametrize("spoil", [
@@ -457,7 +541,13 @@ def test_a_run_that_was_killed_is_told_by_manifest_and_record_together(copy, sce
     (copy / "timings.jsonl").write_bytes(record[:-20])  # cut short by a crash
     assert set(read_manifest(copy).shards) == {json.loads(line)["shard"] for line in lines[1:-1]}
     assert len(query.members(copy)) == sum(shard.rows for shard in read_manifest(copy).shards.values())
-    for spoilt in (record.replace(b'"rows"', b'"rowz"'), record.replace(b'"rows": 3', b'"rows": 2'), lines[0][:-5]):
+    deep = b"[" * 200_000 + b"\n"
+    for spoilt in (
+        record + deep,
+        record.replace(b'"rows"', b'"rowz"'),
+        record.replace(b'"rows": 3', b'"rows": 2'),
+        lines[0][:-5],
+    ):
         (copy / "timings.jsonl").write_bytes(spoilt)
         for look in (status, verify, query.members):
             with pytest.raises(StoreError, match=r"timings\.jsonl: expected the commits .*; rerun the scene"):

@@ -87,3 +87,9 @@ def test_a_condition_is_taken_by_its_status_and_a_store_that_ignores_it_is_refus
         assert b"<Key>" not in ask(f"{server}/bucket?list-type=2&prefix={how}/")
     finally:
         ask(f"{server}/_conditions/amazon", "PUT")
+
+
+def test_a_store_that_ends_with_the_command_is_refused(small_scene, capsys):
+    for address in ("memory://x/y", "simplecache::memory://x/y"):
+        assert main(["run", str(small_scene), "--workers", "1", "--out", address]) == 2
+        assert f"--out: expected a place that lasts, got {address}, which ends" in capsys.readouterr().err

@@ -454,6 +454,28 @@ def test_the_status_of_a_run_that_goes_on(dataset, tmp_path, capsys):
     assert "running" not in said
 
 
+@pytest.mark.parametrize(
+    "lock",
+    [
+        "process 1 on other\nbegan nan",
+        "process 1 on other\nbegan -inf",
+        "process 1 on other\nbegan",
+        f"process 1 on other\nbegan 1\npace 1 -{'9' * 400} 0 0 0",
+        "process 1 on other\nbegan 1\npace 1 0 nan 0 0",
+        f"process {'9' * 5000} on {socket.gethostname()}\nbegan 1",
+        f"process \u0661 on {socket.gethostname()}\nbegan 1",
+        "my mail program\nbegan 1",
+    ],
+)
+def test_what_no_driver_writes_is_no_lock(lock, dataset, tmp_path, capsys):
+    copy = shutil.copytree(dataset, tmp_path / "copy")
+    (copy / ".lock").write_text(f"{lock}\n")
+    assert main(["status", str(copy)]) == 0
+    said = capsys.readouterr().out
+    assert "6 of 6 done: " in said
+    assert "running" not in said
+
+
 def test_the_status_of_a_dataset_that_has_lost_a_shard(dataset, tmp_path, capsys):
     copy = shutil.copytree(dataset, tmp_path / "a copy")
     shard = next((copy / "data").iterdir())

@@ -335,3 +335,11 @@ def test_links_that_lead_round_are_one_line(some_failed, tmp_path, capsys):
         for words in (["query", str(some_failed), "SELECT 1", "--format", "csv"], ["run", "quick", "--yes"]):
             assert main([*words, "--out", str(out)]) in (1, 2)
             assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_an_answer_to_a_closed_stream_is_refused(dataset):
+    command = f'"{sys.executable}" -m stickslip query "{dataset}" "SELECT 1" >&-'
+    done = subprocess.run(command, shell=True, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (
+        2, "stickslip: the standard output is closed; name a file by --out\n",
+    )  # fmt: skip

@@ -32,7 +32,9 @@ def test_a_frame_has_what_the_page_says(dataset):
     assert set(table["question"]) <= {finding["question"] for finding in told}
 
 
-@pytest.mark.parametrize("damage", ["[]", "{}", '{"findings": [1]}', '{"findings": [{"rows": 3}]}', "\xff"])
+@pytest.mark.parametrize(
+    "damage", ["[]", "{}", '{"findings": [1]}', '{"findings": [{"rows": 3}]}', "\xff", "[" * 200_000]
+)
 def test_a_damaged_file_is_refused_by_name(copied, damage):
     (copied / FILE).write_bytes(damage.encode("latin-1"))
     with pytest.raises(StoreError, match=r"findings\.json is damaged"):

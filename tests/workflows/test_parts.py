@@ -133,6 +133,7 @@ def test_a_comparison_stays_in_its_dataset(place, small_scene, capsys):
 def test_what_is_changed_in_place_has_one_name(part, place, small_scene, capsys):
     """As `cp -al` makes two."""
     next((place / "data").iterdir()).unlink()
+    (place.parent / "outside").write_text("process 77 on elsewhere\n")
     spoil(place, part, hard_link)
     refused(WRITERS["run"], place, small_scene, f"{place / part}: expected a file with one name", capsys)
 

@@ -1,6 +1,8 @@
 """Before the first run: a scene begun by the command, and the schema that editors use."""
 
+import errno
 import json
+import os
 import re
 import tomllib
 from importlib.metadata import version
@@ -204,3 +206,22 @@ def test_a_package_loads_its_rooms_as_they_are_asked_for(package, room, heavy):
     code = f"import sys, {room}; sys.exit(', '.join({heavy!r} & set(sys.modules)) or 0)"
     done = python("-c", code)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_full_disk_leaves_no_part_of_a_new_scene(tmp_path, monkeypatch, capsys):
+    """Else a later `init` would keep a schema that was cut short."""
+    fsync, calls = os.fsync, []
+
+    def full(descriptor):
+        calls.append(descriptor)
+        if len(calls) == 2:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        fsync(descriptor)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        assert main(["init", str(tmp_path / "mine.toml")]) == 1
+    assert "No space left on device" in capsys.readouterr().err
+    assert [*tmp_path.iterdir()] == []
+    assert main(["init", str(tmp_path / "mine.toml")]) == 0
+    assert (tmp_path / SCHEMA).read_text() == schema_text(None)

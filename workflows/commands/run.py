@@ -303,11 +303,15 @@ def check_name(argument: str, name: str) -> None:
 
 
 def check_directory(out: Place, file: Path) -> None:
-    """Refuse a directory in which a dataset would be in the way of something else."""
+    """Refuse a directory in which a dataset would be in the way of something else, and a store that does not last."""
     from stickslip.pipeline.places.directory import Directory
     from stickslip.pipeline.places.place import MANIFEST
 
     if not isinstance(out, Directory):
+        if "memory" in out.address.partition("://")[0].split("::"):
+            raise Wrong(
+                f"--out: expected a place that lasts, got {out}, which ends with this command; choose another"
+            )
         return
     # of a loop of links no error comes here, but where it is opened
     place, here = Path(os.path.realpath(out.path)), Path(__file__).resolve().parents[2]
