@@ -97,10 +97,9 @@ def _method(grid: Grid, steps: Sequence[Step], unit: str) -> str:
     n_tests = sum(step.contrast.p_different is not None for step in steps)
     quantities = [measure.statistic.quantity for measure in grid.asked]
     defined = [quantity for quantity in quantities if quantity.definition][:MOST_DEFINED]
-    return (
-        f"Each value is compared with the first {unit} by {unit}{averages}{drawn}."
-        f" Verdicts are adjusted for {n_tests} comparisons (Holm), intervals are not."
-        + "".join(f" {capital(quantity.name)}: {quantity.definition}." for quantity in defined)
+    adjusted = f" Verdicts are adjusted for {n_tests} comparisons (Holm), intervals are not." * (n_tests > 0)
+    return f"Each value is compared with the first {unit} by {unit}{averages}{drawn}.{adjusted}" + "".join(
+        f" {capital(quantity.name)}: {quantity.definition}." for quantity in defined
     )
 
 
