@@ -305,6 +305,13 @@ class Study:
         return "t_collapse" in self.data.table.own
 
     @property
+    def proofs(self) -> Proofs:
+        """What stands against a proof of runs that slide."""
+        if not any(map(may_be_proved, self.data.table.settings)):
+            return Proofs.NONE_EXISTS
+        return Proofs.SOUGHT if self.seeks_proofs else Proofs.SOUGHT_WHERE_IT_SAVES_TIME
+
+    @property
     def unit(self) -> str:
         """The kind of unit that most groups have."""
         return Counter(group.unit for group in self.groups).most_common(1)[0][0]

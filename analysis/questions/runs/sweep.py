@@ -346,7 +346,7 @@ def _alerts(study: Study, grid: Grid) -> list[Alert]:
     points, alerts, withheld = grid.every, list[Alert](), list[Alert]()
     if n_quiet := sum(point.fates[QUIET] for point in points):
         n_runs = sum(point.fates[name] for point in points for name in WATCHED)
-        alerts.append(uncertified(n_quiet, n_runs, study.seeks_proofs))
+        alerts.append(uncertified(n_quiet, n_runs, study.proofs))
     gaps: dict[tuple[tuple[str, str], ...], list[str]] = {}
     for measure in grid.asked:
         values = [point.measured[measure.name] for point in points]
