@@ -234,11 +234,10 @@ class KeyChange(NamedTuple):
 
 
 class Course(StrEnum):
-    """How a quantity goes along a key, where it does not rise or fall all along."""
+    """What a quantity has where it turns along a key."""
 
     MINIMUM = "minimum"
     MAXIMUM = "maximum"
-    NO_TREND = "no trend"  #: it turns more than once
 
 
 @dataclass(frozen=True)
@@ -262,8 +261,8 @@ class Change:
         The quantity at these.
     where : Place
         At which values of the other keys, or averaged over which.
-    turn : Turn, optional
-        If it is shown to turn on the way.
+    turns : tuple of Turn
+        Where it is shown to turn on the way, in order.
     """
 
     quantity: Quantity
@@ -273,7 +272,7 @@ class Change:
     difference: Difference
     where: Place = EVERYWHERE
     basis: Basis | None = None
-    turn: Turn | None = None
+    turns: tuple[Turn, ...] = ()
 
 
 @dataclass(frozen=True)
