@@ -544,6 +544,7 @@ class Reason(StrEnum):
     CREEP = "blocks that creep may count as stuck"
     NOTHING_COUNTED = "nothing to count"
     ONE_VALUE = "all values are the same"
+    CODE_FAILED = "its code failed"
 
 
 @dataclass(frozen=True)
