@@ -152,5 +152,5 @@ def setting_in_cell(name: object) -> str:
 
 
 def _unbroken(text: str) -> str:
-    """A text that is broken only before a bracket."""
-    return text.replace(" ", "\u00a0").replace("\u00a0(", " (")
+    """A text that is broken only before a bracket, and after one."""
+    return text.replace(" ", "\u00a0").replace("\u00a0(", " (").replace(")\u00a0", ") ")
