@@ -215,11 +215,10 @@ class Contrast:
         estimate = self.difference.estimate
         return self.is_shown, 0.0 if self.is_same or estimate.value is None else abs(estimate.value)
 
-    def level(self, where: Place, other: str, unit: str) -> Level:
-        """The second, where it is, compared with the first."""
-        return Level(
-            self.statistic.quantity, self.second, where, Comparison(other, self.difference), self.basis(unit)
-        )
+    def level(self, where: Place, other: str, unit: str, is_alone: bool = False) -> Level:
+        """The second, where it is, compared with the first; with the value of the first if that `is_alone`."""
+        comparison = Comparison(other, self.difference, self.first if is_alone else None)
+        return Level(self.statistic.quantity, self.second, where, comparison, self.basis(unit))
 
     def change(self, keys: tuple[KeyChange, ...], where: Place, unit: str) -> Change:
         """The change from the first to the second along keys that are swept together."""

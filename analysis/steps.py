@@ -105,7 +105,7 @@ class Step:
 
     def level(self, other: str, unit: str) -> Level:
         """As the second, compared with the first, which is called `other`."""
-        return self.contrast.level(self.where, other, unit)
+        return self.contrast.level(self.where, other, unit, is_alone=self.kind is Kind.DATASET)
 
 
 AnyStep = TypeVar("AnyStep", bound=Step)

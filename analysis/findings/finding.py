@@ -170,11 +170,13 @@ class Difference:
 class Comparison:
     """With what an estimate is compared, as a noun phrase ("a fair coin's ln 2"), and how far from it it lies.
 
-    Without a difference the estimate itself is a distance from it.
+    Without a difference the estimate itself is a distance from it. `value` is its own, where no other finding says
+    that.
     """
 
     other: str
     difference: Difference | None = None
+    value: Estimate | None = None
 
 
 @dataclass(frozen=True)

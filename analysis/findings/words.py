@@ -258,6 +258,8 @@ def _beside(text: str, comparison: Comparison | None, quantity: Quantity | None,
 
 def _compared(comparison: Comparison, quantity: Quantity | None) -> Addition:
     reference, difference = comparison.other, comparison.difference
+    if comparison.value is not None and quantity is not None:
+        reference = f"{reference} at {_value(quantity, comparison.value)}"
     if difference is None:
         return Addition(f"compared with {reference}")
     above, less = ("above", "below") if quantity is None else (quantity.more, quantity.less)
@@ -578,11 +580,23 @@ def _larger(level: Level, other: str) -> str:
         return ""
     is_more = difference.verdict is Verdict.MORE
     if (times := ratio(difference)) is not None:
-        return f"{times} times as many {things} as {other}" if things else f"{times} times the {name} of {other}"
-    amount = size(difference, level.quantity.form)
+        many = f"as many {things} as {other}" if things else f"the {name} of {other}"
+        return f"{times} times {many}{_against(level)}"
+    amount, values = size(difference, level.quantity.form), _against(level)
     if things and difference.scale is Scale.RELATIVE:
-        return f"{amount} {'more' if is_more else 'fewer'} {things} than {other}"
-    return f"a {name} {amount} {'higher' if is_more else 'lower'} than {other}"
+        return f"{amount} {'more' if is_more else 'fewer'} {things} than {other}{values}"
+    return f"a {name} {amount} {'higher' if is_more else 'lower'} than {other}{values}"
+
+
+def _against(level: Level) -> str:
+    """Both values of a comparison, after its difference, where that of the reference is not said elsewhere."""
+    if level.comparison is None or level.comparison.value is None:
+        return ""
+    form, estimates = level.quantity.form, (level.estimate, level.comparison.value)
+    values = [
+        number(estimate.value, form, decimals(estimate, form)) for estimate in estimates if estimate.value is not None
+    ]
+    return f", {in_unit(' against '.join(values), level.quantity.unit)}"
 
 
 def _most_apart(level: Level, where: str) -> Addition:

@@ -384,6 +384,25 @@ def test_a_table_names_once_what_all_settings_share_and_breaks_none_of_its_parts
     assert findings_table(rows[:1]).rows[0][1] == "n\u00a0=\u00a0200, eps\u00a0=\u00a00"
 
 
+def test_a_cell_breaks_on_both_sides_of_an_interval_alone():
+    lower = Difference(Estimate(-0.3, -0.4, -0.2), Scale.ABSOLUTE)
+    table = findings_table([Level(SHARE, Estimate(0.2), comparison=Comparison("others", lower))])
+    (cell,) = (row[table.head.index("difference")] for row in table.rows)
+    assert cell.split(" ") == ["\u221230", "(\u221240\u00a0to\u00a0\u221220)", "percentage\u00a0points"]
+
+
+def test_of_another_dataset_both_values_are_said():
+    """No other finding says that of the other."""
+    gone = Difference(Estimate(-1.0, -1.0, -0.9))
+    value, speed = Estimate(0.0453, 0.0401, 0.0506), Quantity("v", "mean slip speed", unit="m/s")
+    level = Level(speed, Estimate(0.0), comparison=Comparison("other", gone, value), basis=Basis(8))
+    assert "below other at 0.0453 (0.0401 to 0.0506) m/s" in sentence(level)
+    (row,) = findings_table([level]).rows
+    assert "other: 0.0453 (0.0401\u00a0to\u00a00.0506)" in row
+    lead = sentence(Outcomes("other", different=("one",), largest=level, at_largest="one"))
+    assert lead.endswith("lower than other, 0 against 0.0453 m/s.")
+
+
 def test_the_first_screen_counts_the_rows_that_are_below():
     rows = [Level(GAMMA, Estimate(0.7), Place.key("n", f"{k}")) for k in range(40)]
     below = Part("a", "What?", Answer(rows[:1]), [], ["It is."], rows)
