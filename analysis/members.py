@@ -74,7 +74,7 @@ class Proofs(StrEnum):
     SOUGHT_WHERE_IT_SAVES_TIME = (
         "a proof that no block does was sought only where it saves time (set collapse = true under [record])"
     )
-    NONE_EXISTS = "that no block does can be proved only on one belt of constant speed, under constant forces"
+    NONE_EXISTS = "proofs are of one belt of constant speed, constant forces and friction without weakening"
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +171,7 @@ def force_period(setting: Mapping[str, Any]) -> float:
 def may_be_proved(setting: Mapping[str, Any]) -> bool:
     """Whether it may be proved that no block sticks again.
 
-    There are proofs on one belt of constant speed under constant forces, where friction does not depend on speed.
+    There are proofs on one belt of constant speed under constant forces, where friction does not weaken with speed.
     """
     held = dict(setting["values"])
     pushes = held["forces"].parts if isinstance(held.get("forces"), Pushes) else ()

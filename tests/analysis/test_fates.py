@@ -374,7 +374,8 @@ def test_without_a_growth_rate_a_lull_cannot_be_told(planted):
     assert codes(asked(data))[Code.TEMPORARY] == {"n": 5, "of": 10}
     for changes in ({"growth_rate": None}, {"weakening_speed": 0.5}, planted.sigmoid):
         answered = asked(Data(data.members.assign(**changes), data.series))
-        assert codes(answered)[Code.UNCERTIFIED] == {"n": 5, "of": 10, "why": NOT_SOUGHT}
+        why = Proofs.NONE_EXISTS.value if "weakening_speed" in changes else NOT_SOUGHT
+        assert codes(answered)[Code.UNCERTIFIED] == {"n": 5, "of": 10, "why": why}
 
 
 def test_what_all_runs_do_has_a_bound(planted):
