@@ -2,8 +2,9 @@
 
 The start still shows if n_stick differs between the first tenth of the window and its last half: J. Geweke, in
 Bayesian Statistics 4 (1992) 169-193. There the error comes from the spectrum of one series; here it is known from
-systems, which are independent, by Student's t. The runs are those that estimates average: the ones in motion or,
-where episodes or numbers of each run are recorded, all that reached t_end.
+systems, which are independent, by Student's t. Under a harmonic force both parts are whole periods of it. The runs
+are those that estimates average: the ones in motion or, where episodes or numbers of each run are recorded, all that
+reached t_end. A difference that moves the mean by less than the digits of its interval show is none.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ from stickslip.analysis.style import EXACT, GREY, bars, panel
 
 #: Other values of t_burn that estimates are made with: shares of the chosen one, and of the time after it.
 BEFORE, AFTER = (0.0, 0.5), (0.125, 0.25, 0.5)
+#: Of a window, the first part; and the least shift of the mean that its digits show, in half-widths of its interval.
+TENTH, SHOWS, UNSEEN = 0.1, 0.05, "less than the mean's digits show"
 MOST_RUNS = 200  # of which estimates are made again
 EPISODES, MEAN = "rate of episodes", "mean number of sticking blocks"
 
@@ -75,18 +78,24 @@ def geweke(study: Study, groups: Sequence[Group]) -> list[Tested]:
     for group in groups:
         members = averaged(study, group)
         if len(members) == group.n_moving:
-            sums = group.by_unit("early", "late", "runs")
+            sums, mean = group.by_unit("early", "late", "runs"), group.mean(level)
         else:
             means = study.each(partial(_of_runs, (study.settings.t_burn,)), members)
             sums = _by_unit(study, members, means[:, 1:])
+            mean = over_matrices(ratio, _by_unit(study, members, means[:, :1]), level)
         early, p, reason = _early(sums, level)
+        if p is not None and not _shows(early, mean):
+            reason = UNSEEN
         rows.append(
             Tested(
                 group.label, study.settings.t_burn, len(sums), len(members), len(group), early, p, None, False, reason
             )
         )
     adjusted = zip(rows, together(row.p_value for row in rows), strict=True)
-    return [row._replace(p_adjusted=p, is_short=p is not None and p < 1 - level) for row, p in adjusted]
+    return [
+        row._replace(p_adjusted=p, is_short=p is not None and p < 1 - level and row.reason != UNSEEN)
+        for row, p in adjusted
+    ]
 
 
 def estimates(study: Study, group: Group) -> list[AtBurn]:
@@ -124,6 +133,13 @@ def _early(sums: np.ndarray, level: float) -> tuple[Estimate, float | None, str]
     return Estimate(test.difference, *test.interval(level)), test.p_different, ""
 
 
+def _shows(early: Estimate, mean: Estimate) -> bool:
+    """Whether the difference of the first tenth moves the mean by what its digits show, if it has an interval."""
+    if early.value is None or mean.low is None or mean.high is None:
+        return True
+    return TENTH * abs(early.value) >= SHOWS * (mean.high - mean.low) / 2
+
+
 def _difference(sums: np.ndarray) -> np.ndarray:
     return np.asarray((sums[:, 0] - sums[:, 1]) / sums[:, 2])
 
@@ -143,7 +159,7 @@ def _of_runs(t_burns: Sequence[float], runs: Runs, ended: Ended) -> np.ndarray:
         places = slice(n_done, n_done + len(stack))
         for k, t_burn in enumerate(t_burns):
             window = windows(stack, t_burn, ended.t_end[places])
-            means[places, k] = np.column_stack([window.mean, early_and_late(window)])
+            means[places, k] = np.column_stack([window.mean, early_and_late(window, ended.period[places])])
         n_done += len(stack)
     return means.reshape(len(ended), -1)
 

@@ -6,7 +6,7 @@ relative to the first group, except that shares of runs are subtracted.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -215,11 +215,10 @@ class Contrast:
         estimate = self.difference.estimate
         return self.is_shown, 0.0 if self.is_same or estimate.value is None else abs(estimate.value)
 
-    def level(self, where: Place, other: str, unit: str) -> Level:
-        """The second, where it is, compared with the first."""
-        return Level(
-            self.statistic.quantity, self.second, where, Comparison(other, self.difference), self.basis(unit)
-        )
+    def level(self, where: Place, other: str, unit: str, is_alone: bool = False) -> Level:
+        """The second, where it is, compared with the first; with the value of the first if that `is_alone`."""
+        comparison = Comparison(other, self.difference, self.first if is_alone else None)
+        return Level(self.statistic.quantity, self.second, where, comparison, self.basis(unit))
 
     def change(self, keys: tuple[KeyChange, ...], where: Place, unit: str) -> Change:
         """The change from the first to the second along keys that are swept together."""
@@ -311,34 +310,35 @@ def _interval(test: Test, confidence: float) -> Estimate:
     return Estimate(test.difference, *test.interval(confidence))
 
 
-def course(to_each: Sequence[Contrast], from_each: Sequence[Contrast]) -> tuple[Course, int] | None:
-    """Whether a statistic turns between the ends of a key, and at which of the values between.
+def turns(values: Sequence[float], verdict: Callable[[int, int], Verdict]) -> list[tuple[Course, int, int]]:
+    """Where a statistic turns along a key: whether it has a minimum or a maximum, at which value, and by which shown.
 
-    It does at a value that is shown to lie on one side of both ends; of several on one side, at the furthest. None if
-    it is consistent with one that rises or falls all along.
+    It rises, or falls, until a pair of its values shows the opposite; it turned at the extreme value before. Empty if
+    it is consistent with one that rises, or falls, all along.
 
     Parameters
     ----------
-    to_each, from_each : sequence of Contrast
-        From the first value of the key to each of those between, and from there to the last; intervals as wide as
-        their number asks.
+    values : sequence of float
+        The estimates along the key.
+    verdict : callable
+        On the second less the first of two values, by place, with an interval as wide as the number of pairs asks.
     """
-    pairs = [*zip(to_each, from_each, strict=True)]
-    of_course = {
-        course: [k for k, pair in enumerate(pairs) if tuple(contrast.verdict for contrast in pair) == verdicts]
-        for course, verdicts in _TURNS.items()
-    }
-    turning = {course: places for course, places in of_course.items() if places}
-    if not turning:
-        return None
-    if len(turning) > 1:
-        return Course.NO_TREND, 0
-    ((shape, places),) = turning.items()
-    furthest = max(places, key=lambda k: abs(to_each[k].absolute.value or 0.0))
-    return shape, furthest
+    places, begin, course = list[tuple[Course, int, int]](), 0, 0
+    for j in range(1, len(values)):
+        for i in range(begin, j):
+            if course * (values[j] - values[i]) > 0.0:
+                continue  # goes on as before
+            side = _SIDES.get(verdict(i, j), 0)
+            if course * side < 0:
+                begin = max(range(begin + 1, j), key=lambda k: course * values[k])
+                places.append((Course.MAXIMUM if course > 0 else Course.MINIMUM, begin, j))
+                course = side
+                break
+            course = course or side
+    return places
 
 
-_TURNS = {Course.MINIMUM: (Verdict.LESS, Verdict.MORE), Course.MAXIMUM: (Verdict.MORE, Verdict.LESS)}
+_SIDES = {Verdict.MORE: 1, Verdict.LESS: -1}
 
 
 def judged(contrasts: Sequence[Contrast], alpha: float) -> list[Contrast]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import cached_property
 from typing import Any
 
@@ -13,7 +14,7 @@ import pandas as pd
 from stickslip.analysis.models.attractors import SLIDING
 from stickslip.analysis.models.fates import COLLAPSED
 from stickslip.pipeline.design.design import Design, Unit
-from stickslip.pipeline.design.values import BELT, Value, Values
+from stickslip.pipeline.design.values import BELT, InTime, Pushes, Value, Values
 from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Coarseness, Number, Numbers
 from stickslip.sim.systems.terms import TERMS
@@ -55,14 +56,25 @@ ENGINE_KEYS = (
     *(name for name, setting in SETTINGS.items() if name not in TOLERANCES and not isinstance(setting, Numbers)),
     *TOLERANCES,
 )
+_WEAKENING = tuple(term.name for term in TERMS if term.table == "weakening")
 #: Columns that are null unless friction depends on the speed of slip.
-_SPEED_DEPENDENT = (*WIDTHS, *(term.name for term in TERMS if term.table == "weakening"))
+_SPEED_DEPENDENT = (*WIDTHS, *_WEAKENING)
 #: What members of a setting share, and what tells copies and systems of different seeds apart.
 SHARED = (*SYSTEM_KEYS, *ENGINE_KEYS, "twin_size", "perturbation_reading", "seed")
 #: Nullable types of pandas, by those of Python.
 _TYPES: dict[type, Any] = {int: "Int64", float: "Float64", bool: "boolean", str: "string"}
 #: Where a setting stands in the design.
 POINT = ("point", "method", "change")
+
+
+class Proofs(StrEnum):
+    """Why it is not proved of runs that slide that no block sticks again."""
+
+    SOUGHT = "there is no proof that no block does"
+    SOUGHT_WHERE_IT_SAVES_TIME = (
+        "a proof that no block does was sought only where it saves time (set collapse = true under [record])"
+    )
+    NONE_EXISTS = "proofs are of one belt of constant speed, constant forces and friction without weakening"
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +141,47 @@ class Members:
         """Rows of members that are not changed copies, of constants or of the start; all if every one is a copy."""
         is_copy = np.array([setting["change"] > 0 for setting in self.settings])[self.own["setting"]]
         return np.arange(len(self)) if is_copy.all() else np.flatnonzero(~is_copy)
+
+
+def frequencies(setting: Mapping[str, Any]) -> list[Any]:
+    """Those of the harmonic forces of a setting: numbers, or what they are drawn from."""
+    held = dict(setting["values"])
+    several = held.get("forces")
+    if isinstance(several, Pushes):
+        return [push.harmonic[_FREQUENCY] for push in several.parts if push.course is None]
+    frequency = held.get("force_frequency", setting["force_frequency"])
+    return [] if frequency is None else [frequency]
+
+
+def force_period(setting: Mapping[str, Any]) -> float:
+    """The period of the harmonic forces of a setting; NaN where there is none, or one is drawn.
+
+    Of several the one that they share or, where that is not a few periods of the slowest, that of the slowest.
+    """
+    of_forces = [frequency for frequency in frequencies(setting) if frequency != 0.0]
+    if not of_forces or not all(isinstance(frequency, float) for frequency in of_forces):
+        return np.nan
+    turning = np.abs(of_forces)
+    ratios = np.outer(np.arange(1, _MOST_PERIODS + 1), turning / turning.min())
+    is_shared = (abs(ratios - ratios.round()) < _ROUNDING * ratios).all(axis=1)
+    n_periods = 1 + int(is_shared.argmax())  # 1 if none is shared
+    return float(n_periods * 2.0 * np.pi / turning.min())
+
+
+def may_be_proved(setting: Mapping[str, Any]) -> bool:
+    """Whether it may be proved that no block sticks again.
+
+    There are proofs on one belt of constant speed under constant forces, where friction does not weaken with speed.
+    """
+    held = dict(setting["values"])
+    pushes = held["forces"].parts if isinstance(held.get("forces"), Pushes) else ()
+    courses = [*held.values(), *(push.course for push in pushes)]
+    is_constant = not any(isinstance(course, InTime) for course in courses) and not any(frequencies(setting))
+    return is_constant and "belt_speed" not in held and all(setting[name] is None for name in _WEAKENING)
+
+
+_FREQUENCY = 1  # of the numbers of a harmonic force
+_MOST_PERIODS, _ROUNDING = 12, 1e-9  # of the slowest force, that several may share; of their ratios
 
 
 def known_outcomes(own: pd.DataFrame) -> pd.Series:

@@ -76,8 +76,8 @@ class Step:
         What tells the second from others.
     name : Setting
         What is set beside the reference, in a list of outcomes.
-    turn : Turn, optional
-        Along a key, if the statistic is shown to turn before.
+    turns : tuple of Turn
+        Along a key, where the statistic is shown to turn before.
     """
 
     kind: Kind
@@ -87,7 +87,7 @@ class Step:
     keys: tuple[KeyChange, ...] = ()
     where: Place = EVERYWHERE
     name: Setting = _NO_NAME
-    turn: Turn | None = None
+    turns: tuple[Turn, ...] = ()
 
     @property
     def statistic(self) -> str:
@@ -101,11 +101,11 @@ class Step:
 
     def change(self, unit: str) -> Change:
         """As a change along its keys."""
-        return replace(self.contrast.change(self.keys, self.where, unit), turn=self.turn)
+        return replace(self.contrast.change(self.keys, self.where, unit), turns=self.turns)
 
     def level(self, other: str, unit: str) -> Level:
         """As the second, compared with the first, which is called `other`."""
-        return self.contrast.level(self.where, other, unit)
+        return self.contrast.level(self.where, other, unit, is_alone=self.kind is Kind.DATASET)
 
 
 AnyStep = TypeVar("AnyStep", bound=Step)

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
+from stickslip.analysis.members import Proofs
+
 
 class Code(Enum):
     """What may be wrong: the rank, by which alerts are sorted, and the words, with the names of their numbers.
@@ -66,10 +68,9 @@ class Alert:
         return self.code.words.format(**dict(self.numbers))
 
 
-def uncertified(n: int, of: int, is_sought: bool) -> Alert:
-    """The alert that runs slide without a proof that they go on so; whether one was sought for each."""
-    why = "a proof that no block does was sought only where it saves time (set collapse = true under [record])"
-    return Alert.of(Code.UNCERTIFIED, n=n, of=of, why="there is no proof that no block does" if is_sought else why)
+def uncertified(n: int, of: int, proofs: Proofs) -> Alert:
+    """The alert that runs slide without a proof that they go on so."""
+    return Alert.of(Code.UNCERTIFIED, n=n, of=of, why=proofs.value)
 
 
 def drift(what: str, settings: Sequence[str], t_burn: float) -> Alert:

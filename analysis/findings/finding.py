@@ -170,11 +170,13 @@ class Difference:
 class Comparison:
     """With what an estimate is compared, as a noun phrase ("a fair coin's ln 2"), and how far from it it lies.
 
-    Without a difference the estimate itself is a distance from it.
+    Without a difference the estimate itself is a distance from it. `value` is its own, where no other finding says
+    that.
     """
 
     other: str
     difference: Difference | None = None
+    value: Estimate | None = None
 
 
 @dataclass(frozen=True)
@@ -234,11 +236,10 @@ class KeyChange(NamedTuple):
 
 
 class Course(StrEnum):
-    """How a quantity goes along a key, where it does not rise or fall all along."""
+    """What a quantity has where it turns along a key."""
 
     MINIMUM = "minimum"
     MAXIMUM = "maximum"
-    NO_TREND = "no trend"  #: it turns more than once
 
 
 @dataclass(frozen=True)
@@ -262,8 +263,8 @@ class Change:
         The quantity at these.
     where : Place
         At which values of the other keys, or averaged over which.
-    turn : Turn, optional
-        If it is shown to turn on the way.
+    turns : tuple of Turn
+        Where it is shown to turn on the way, in order.
     """
 
     quantity: Quantity
@@ -273,7 +274,7 @@ class Change:
     difference: Difference
     where: Place = EVERYWHERE
     basis: Basis | None = None
-    turn: Turn | None = None
+    turns: tuple[Turn, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -545,6 +546,7 @@ class Reason(StrEnum):
     CREEP = "blocks that creep may count as stuck"
     NOTHING_COUNTED = "nothing to count"
     ONE_VALUE = "all values are the same"
+    CODE_FAILED = "its code failed"
 
 
 @dataclass(frozen=True)

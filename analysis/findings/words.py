@@ -258,6 +258,8 @@ def _beside(text: str, comparison: Comparison | None, quantity: Quantity | None,
 
 def _compared(comparison: Comparison, quantity: Quantity | None) -> Addition:
     reference, difference = comparison.other, comparison.difference
+    if comparison.value is not None and quantity is not None:
+        reference = f"{reference} at {_value(quantity, comparison.value)}"
     if difference is None:
         return Addition(f"compared with {reference}")
     above, less = ("above", "below") if quantity is None else (quantity.more, quantity.less)
@@ -376,8 +378,8 @@ def _change(change: Change, is_brief: bool = False) -> Clauses:
         return *_change(replace(change, keys=change.keys[:1]), is_brief), f"with it {along_with}"
     name, difference = change.quantity.name, change.difference
     along = f"as {_along(change)}{change.where.tail}"
-    if change.turn is not None:
-        return _turning(change, change.turn, along)
+    if change.turns:
+        return _turning(change, along)
     match difference.side:
         case Verdict.MORE | Verdict.LESS as verdict:
             verb = "rises" if verdict is Verdict.MORE else "falls"
@@ -401,17 +403,30 @@ def _change(change: Change, is_brief: bool = False) -> Clauses:
             return f"{name} goes {_from_to(change)} {along}", *basis
 
 
-def _turning(change: Change, turn: Turn, along: str) -> Clauses:
+MOST_TURNS = 2  # whose places a sentence says
+
+
+def _turning(change: Change, along: str) -> Clauses:
     """A change that is not one way all along."""
-    name, (start, end) = change.quantity.name, _levels(change)
-    there = f"{_value(change.quantity, turn.estimate)} near {turn.near}"
-    match turn.course:
+    name, (start, end), turns = change.quantity.name, _levels(change), change.turns
+    if len(turns) > MOST_TURNS:
+        return f"{name} turns {len(turns)} times {along}", f"it goes {_from_to(change)}"
+    if len(turns) > 1:
+        through = listed([_value(change.quantity, turn.estimate) for turn in turns])
+        return f"{name} has {extrema(turns)}", f"it goes from {start} through {through} to {end} {along}"
+    there = f"{_value(change.quantity, turns[0].estimate)} near {turns[0].near}"
+    match turns[0].course:
         case Course.MINIMUM:
             return f"{name} has a minimum of {there}", f"it falls from {start} and rises to {end} {along}"
         case Course.MAXIMUM:
             return f"{name} has a maximum of {there}", f"it rises from {start} and falls to {end} {along}"
-        case Course.NO_TREND:
-            return f"{name} changes without a trend {along}", f"it goes {_from_to(change)}"
+
+
+def extrema(turns: Sequence[Turn]) -> str:
+    """Where a quantity has minima and maxima along a key, which is named once."""
+    first, *further = turns
+    values = [str(first.near), *(value for turn in further for _, value in turn.near.parts)]
+    return listed([f"a {turn.course} near {value}" for turn, value in zip(turns, values, strict=True)])
 
 
 def _along(change: Change) -> str:
@@ -565,11 +580,23 @@ def _larger(level: Level, other: str) -> str:
         return ""
     is_more = difference.verdict is Verdict.MORE
     if (times := ratio(difference)) is not None:
-        return f"{times} times as many {things} as {other}" if things else f"{times} times the {name} of {other}"
-    amount = size(difference, level.quantity.form)
+        many = f"as many {things} as {other}" if things else f"the {name} of {other}"
+        return f"{times} times {many}{_against(level)}"
+    amount, values = size(difference, level.quantity.form), _against(level)
     if things and difference.scale is Scale.RELATIVE:
-        return f"{amount} {'more' if is_more else 'fewer'} {things} than {other}"
-    return f"a {name} {amount} {'higher' if is_more else 'lower'} than {other}"
+        return f"{amount} {'more' if is_more else 'fewer'} {things} than {other}{values}"
+    return f"a {name} {amount} {'higher' if is_more else 'lower'} than {other}{values}"
+
+
+def _against(level: Level) -> str:
+    """Both values of a comparison, after its difference, where that of the reference is not said elsewhere."""
+    if level.comparison is None or level.comparison.value is None:
+        return ""
+    form, estimates = level.quantity.form, (level.estimate, level.comparison.value)
+    values = [
+        number(estimate.value, form, decimals(estimate, form)) for estimate in estimates if estimate.value is not None
+    ]
+    return f", {in_unit(' against '.join(values), level.quantity.unit)}"
 
 
 def _most_apart(level: Level, where: str) -> Addition:

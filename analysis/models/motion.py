@@ -109,7 +109,7 @@ def motion(runs: Runs, some: Ended, is_brief: bool = False) -> Motion:
                 stack_windows = windows(stack.take(moves), runs.t_burn, stack_runs.t_end[moves])
             except NoSeries as error:
                 raise no_series(stack_runs.member_id[moves[error.place]], error) from error
-            sums[places[moves]] = _sums(stack_windows, is_brief, runs.unit)
+            sums[places[moves]] = _sums(stack_windows, stack_runs.period[moves], is_brief, runs.unit)
             sizes.append(_sizes(stack_windows, places[moves]))
         n_done += len(stack)
     return Motion(fates_of, last_changes, sums, np.concatenate(sizes))
@@ -124,13 +124,17 @@ def _sizes(runs: Windows, names: np.ndarray) -> np.ndarray:
     return np.column_stack([names[codes // width], codes % width, n_times[codes]])
 
 
-def early_and_late(runs: Windows) -> np.ndarray:
-    """Time means of n_stick in the first tenth and in the last half of each window, shape (R, 2)."""
+def early_and_late(runs: Windows, period: np.ndarray) -> np.ndarray:
+    """Time means of n_stick in the first tenth and in the last half of each window, shape (R, 2).
+
+    `period` as of `enough.over_periods`.
+    """
     tenths = runs.means(10)
-    return np.column_stack([tenths[:, 0], tenths[:, 5:].mean(axis=1)])
+    means = np.column_stack([tenths[:, 0], tenths[:, 5:].mean(axis=1)])
+    return enough.over_periods(runs, period, means, 0.1, np.ceil)
 
 
-def _sums(runs: Windows, is_brief: bool, unit: float) -> np.ndarray:
+def _sums(runs: Windows, period: np.ndarray, is_brief: bool, unit: float) -> np.ndarray:
     """`COLUMNS` of each run, shape (R, C)."""
     sums = np.zeros((len(runs), len(COLUMNS)))
 
@@ -140,13 +144,12 @@ def _sums(runs: Windows, is_brief: bool, unit: float) -> np.ndarray:
     for names, function in SUMS.items():
         if not (is_brief and "tau" in names):
             put(names, function(runs))
-    halves = enough.halves(runs)[:, :2]
-    put(("first_half", "second_half"), halves)
+    put(("first_half", "second_half"), enough.halves(runs, period)[:, :2])
     if is_brief:
         return sums
-    put(("early", "late"), early_and_late(runs))
+    put(("early", "late"), early_and_late(runs, period))
     tau = sums[:, COLUMNS["tau"]]
     active = runs.span - runs.total(lulls(runs, unit))
-    put(("stuck", "active"), np.column_stack([halves.mean(axis=1) * runs.span, active]))
+    put(("stuck", "active"), np.column_stack([runs.means(2).mean(axis=1) * runs.span, active]))
     put(("short",), ((tau == 0) | effective.is_short(runs, tau))[:, None])
     return sums

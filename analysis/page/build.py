@@ -5,15 +5,17 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
 from typing import NamedTuple
 
 import pandas as pd
 
-from stickslip.analysis.answer import places
+from stickslip.analysis.answer import Answer, places
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.alerts import Alert, Code
+from stickslip.analysis.findings.finding import Lack, Reason
 from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.words import plural
 from stickslip.analysis.groups import Group
@@ -143,17 +145,18 @@ def build(
     study = Study(data, settings)
     asked = answers or (lambda study: [ask(study, key) for key in package_questions(settings.question)])
     by_key = {question.key: question for question in asked(study) if question is not None}
-    questions = [question for question in by_key.values() if not question.problem]
+    questions = [_with_problem(question) if question.problem else question for question in by_key.values()]
     parts = [part(question, settings.units) for question in questions]
     lacking = [part for part in parts if part.answer.is_lack]
     leading, folded = _in_order(study, [part for part in parts if not part.answer.is_lack])
-    lead, panels = _lead(leading), _panels(leading)
+    failed = [part for part in lacking if by_key[part.key].problem and part.key in settings.question]
+    lead, panels = _lead(_as_asked(settings.question, [*failed, *leading])), _panels(leading)
     title, about = _title(leading, title, about)
     groups = groups_table(study)
     laws, is_told = engine_laws(study.groups)  # one alone is named in the table of settings
     sources = {file: digest for question in questions for file, digest in question.sources.items()}
     sections = [
-        *(part.section(panels, k < len(lead), k == 0) for k, part in enumerate(leading)),
+        *(part.section(panels, part.lead[0] in lead, k == 0) for k, part in enumerate(leading)),
         *(part.section(panels, False, False) for part in folded),
         _provenance(study, groups, lacking, sources, provenance, laws * (not is_told)),
     ]
@@ -181,6 +184,18 @@ def _title(leading: Sequence[Part], title: str, about: str) -> tuple[str, str]:
     return title, about or (leading[0].title if leading else "")
 
 
+def _with_problem(question: Answered) -> Answered:
+    """A question of the user's own that failed, with what it lacks for an answer."""
+    return replace(
+        question, answer=Answer([Lack(f"the answer to {question.key}", Reason.CODE_FAILED, question.problem)])
+    )
+
+
+def _as_asked(asked: Sequence[str], parts: Sequence[Part]) -> list[Part]:
+    """Some answers in the order in which the scene asks, before those that it does not name."""
+    return sorted(parts, key=lambda part: asked.index(part.key) if part.key in asked else len(asked))
+
+
 def _notes(asked: Iterable[str], questions: Mapping[str, Answered], lacking: Mapping[str, Part]) -> Iterator[str]:
     """What was asked and has no answer, or not all of it, and why."""
     for key in asked:
@@ -190,9 +205,7 @@ def _notes(asked: Iterable[str], questions: Mapping[str, Answered], lacking: Map
         elif answer is None:
             name = question(key).title or key
             yield f"Asked but not answered: {name}: nothing that it needs was run or recorded."
-        elif answer.problem:
-            yield f"Asked but not answered: {key}: {answer.problem}."
-        elif key in lacking:
+        elif key in lacking and not answer.problem:
             yield from (f"Asked but not answered: {answer.title} {text}" for text in lacking[key].lead)
         if answer is not None and answer.missing:
             yield f"Left out of the answer: {key}: {'; '.join(answer.missing)}."

@@ -118,7 +118,9 @@ def findings_table(levels: Sequence[Level], where: str = "", most: int = MOST_RO
             "what": _what(level.quantity),
             "where": setting_in_cell(Place(tuple(part for part in level.where.parts if part not in alike))),
             "estimate": _unbroken(with_interval(level.estimate, level.quantity.form)),
-            "compared with": setting_in_cell(level.comparison.other) if level.comparison is not None else "",
+            "compared with": _reference(level.comparison, level.quantity.form)
+            if level.comparison is not None
+            else "",
             "difference": _difference(level.comparison, level.quantity.form) if level.comparison is not None else "",
             "from": _unbroken(based_on(level.basis)),
         }
@@ -139,6 +141,12 @@ def _what(quantity: Quantity) -> str:
     return f"{quantity.name} ({quantity.unit})" if quantity.unit else quantity.name
 
 
+def _reference(comparison: Comparison, form: Form) -> str:
+    """With what something is compared, and its value."""
+    name = setting_in_cell(comparison.other)
+    return name if comparison.value is None else f"{name}: {_unbroken(with_interval(comparison.value, form))}"
+
+
 def _difference(comparison: Comparison, form: Form) -> str:
     if comparison.difference is None:
         return ""
@@ -152,5 +160,5 @@ def setting_in_cell(name: object) -> str:
 
 
 def _unbroken(text: str) -> str:
-    """A text that is broken only before a bracket."""
-    return text.replace(" ", "\u00a0").replace("\u00a0(", " (")
+    """A text that is broken only before a bracket, and after one."""
+    return text.replace(" ", "\u00a0").replace("\u00a0(", " (").replace(")\u00a0", ") ")

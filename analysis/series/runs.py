@@ -33,6 +33,8 @@ class Ended:
         NaN where it is not known.
     n : ndarray of int
         Number of blocks.
+    period : ndarray, float64
+        Of the force; NaN where none is known.
     """
 
     row: np.ndarray
@@ -43,6 +45,7 @@ class Ended:
     t_stop: np.ndarray
     growth_rate: np.ndarray
     n: np.ndarray
+    period: np.ndarray
 
     def __len__(self) -> int:
         return len(self.row)

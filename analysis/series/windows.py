@@ -187,10 +187,24 @@ class Windows:
     def means(self, count: int) -> np.ndarray:
         """Exact time means of n_stick over `count` equal parts of each window, shape (R, count)."""
         length = self.span[:, None] / count
+        return self._means(self.t_start + length * np.arange(count + 1), self.at(count), length)
+
+    def means_of_ends(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+        """Exact time means of n_stick over the first and the last part of each window, shape (R, 2).
+
+        Their lengths, shape (R,), are not more than the window's together.
+        """
+        start = np.full(len(self), self.t_start)
+        begin = np.maximum(self.t_stop - last, start + first)  # rounded
+        edges = np.column_stack([start, start + first, begin, self.t_stop])
+        places = self._looked_up(edges)
+        places[:, -1] = self.first[1:] - 1
+        return self._means(edges, places, np.column_stack([first, np.ones(len(self)), last]))[:, ::2]
+
+    def _means(self, edges: np.ndarray, places: np.ndarray, length: np.ndarray) -> np.ndarray:
+        """Means over parts from edge to edge, the last at t_stop; `places` are of the levels that hold there."""
         base = self.level[self.first[:-1]]  # areas are those above it, so that what is constant has no rounding
         height = self.level - base[self.run]
-        places = self.at(count)
-        edges = self.t_start + length * np.arange(count + 1)
         behind = height[places] * (self.t[places] + self.lasted[places] - edges)  # the level's area behind the edge
         starts = np.column_stack([self.first[:-1], places[:, :-1] + 1])  # of the levels that begin within each part
         area_begun = np.add.reduceat(np.append(height * self.lasted, 0.0), starts.ravel()).reshape(starts.shape)[

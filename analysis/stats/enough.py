@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,9 +41,38 @@ class Basis:
     drift: Estimate
 
 
-def halves(runs: Windows) -> np.ndarray:
-    """Time means of n_stick in the first and the second half, and its variance in time, shape (R, 3)."""
-    return np.column_stack([runs.means(2), runs.variance])
+def halves(runs: Windows, period: np.ndarray) -> np.ndarray:
+    """Time means of n_stick in the first and the second half, and its variance in time, shape (R, 3).
+
+    `period` as of `over_periods`.
+    """
+    return np.column_stack([over_periods(runs, period, runs.means(2), 0.5, np.floor), runs.variance])
+
+
+def over_periods(
+    runs: Windows, period: np.ndarray, means: np.ndarray, share: float, rounded: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
+    """Time means of n_stick in the first part and in the last half of each window, over whole periods of a force.
+
+    What a force drives has another mean in a part of its period than in the rest, at the same phase in all systems:
+    that is no drift. As in `means` where no period is known, or the window has not two of them.
+
+    Parameters
+    ----------
+    period : ndarray, shape (R,)
+        Of the force on each run, NaN where none is known.
+    means : ndarray, shape (R, 2)
+    share : float
+        Of the window that is its first part.
+    rounded : callable
+        How the number of periods of the first part is rounded.
+    """
+    (driven,) = np.nonzero(runs.span >= 2.0 * period)
+    if len(driven):
+        n_periods, length = runs.span[driven] / period[driven], period[driven]
+        first, last = length * rounded(share * n_periods), length * np.floor(n_periods / 2)
+        means[driven] = runs.take(driven).means_of_ends(first, last)
+    return means
 
 
 def _drift(sums: np.ndarray) -> np.ndarray:

@@ -172,10 +172,17 @@ def mean_within(rows: np.ndarray, most: float, confidence: float, is_counted: bo
         One row a matrix: the total of the numbers, and how many.
     is_counted : bool
         Whether they are runs that have a property, of all runs: there are then no more trials than runs.
+
+    Returns
+    -------
+    Estimate
+        With a reason instead of an interval for a single matrix.
     """
     rows = with_data(rows)
     if not len(rows):
         return Estimate(reason="no matrix has data")
     proportion = Proportion.of(rows / [most, 1.0], is_counted)
+    if len(rows) == 1:
+        return Estimate(most * proportion.share, reason="one matrix")
     low, high = proportion.ends(student.half_width(confidence, np.inf))
     return Estimate(most * proportion.share, most * low, most * high)

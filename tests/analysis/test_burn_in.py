@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import Study
-from stickslip.analysis.burn_in import estimates, geweke
+from stickslip.analysis.burn_in import UNSEEN, estimates, geweke
 from stickslip.analysis.ensemble import Recorded
 from stickslip.analysis.models.motion import early_and_late
 from stickslip.analysis.questions.runs import fates
@@ -53,12 +53,55 @@ def of_groups(data, settings):
 def test_early_is_the_first_tenth_and_late_the_last_half():
     """One more block sticks at each unit of time."""
     ramp = windows(Stack.of([(np.arange(100.0), np.arange(100))]), 0.0, [100.0])
-    assert early_and_late(ramp).tolist() == [[4.5, 74.5]]
+    assert early_and_late(ramp, np.array([np.nan])).tolist() == [[4.5, 74.5]]
+
+
+def test_under_a_force_both_are_whole_periods(rng):
+    """Of 100 a tenth is 10: the first period of 12, 10 or 50, and the last four, five or one."""
+    t = np.arange(100.0)
+    ramps = windows(Stack.of([(t, np.arange(100))] * 4), 0.0, [100.0] * 4)
+    whole = [[5.5, 75.5], [4.5, 74.5], [24.5, 74.5], [4.5, 74.5]]  # two periods of 51 it has not
+    assert early_and_late(ramps, np.array([12.0, 10.0, 50.0, 51.0])) == pytest.approx(np.array(whole))
+    times = np.sort(np.append(0.0, rng.uniform(0.0, 100.0, 300)))
+    level = rng.integers(0, 50, 301)
+    (means,) = windows(Stack.of([(times, level)]), 7.0, [93.0]).means_of_ends(np.array([11.3]), np.array([31.9]))
+    ends = [windows(Stack.of([(times, level)]), *ends).mean[0] for ends in ((7.0, [18.3]), (61.1, [93.0]))]
+    assert means == pytest.approx(ends)
+
+
+def forced(planted, settings, frequency, shown):
+    """Of 20 systems, which stick for the first half of each of 14.3 periods."""
+    period, t_end = 2.0 * np.pi / frequency, T_BURN + 14.3 * 2.0 * np.pi / frequency
+    t = np.append(0.0, T_BURN + period / 2.0 * np.arange(29))
+    rows = [planted.member(f"m{k}", k, n=N, t_end=t_end, t_stop=t_end, **shown) for k in range(20)]
+    runs = {f"m{k}": (t, np.append(0, np.tile([20 + k % 3, k % 2], 15)[:29])) for k in range(20)}
+    (row,) = of_groups(Data(pd.DataFrame(rows), runs), settings)
+    return row
+
+
+def test_a_settled_response_to_a_harmonic_force_has_no_transient(planted, settings):
+    """The first tenth of the window is 1.43 periods of the force, and sticks for more than half of its time."""
+    row = forced(planted, settings, 0.15, {"force_amplitude": 25.0, "force_frequency": 0.15})
+    assert not row.is_short
+    assert abs(row.early.value) < 1e-9
+    assert forced(planted, settings, 0.15, {}).is_short, "of no force the program knows no period"
 
 
 def test_steady_series_are_called_too_short_at_the_nominal_rate(planted, settings, rng):
     found = of_groups(ensembles(planted, rng, [0.0] * 200), settings)
     assert agrees(sum(row.p_value < 0.05 for row in found), 200, 0.05)
+
+
+def test_a_transient_that_no_digit_of_the_mean_shows_is_none(planted, settings, rng):
+    """One more block sticks for one or two units of time in all systems, whose levels are four apart."""
+    rows = [planted.member(f"m{k}", k, n=N, t_end=T_END, t_stop=T_END) for k in range(20)]
+    t = np.arange(T_END)
+    more = [(t > T_BURN) & (t < T_BURN + 3.0 + 2.0 * (k % 2)) for k in range(20)]
+    flips = [np.where((t % 2 == 0) | more[k], 90 - 4 * k, 89 - 4 * k) for k in range(20)]
+    (row,) = of_groups(Data(pd.DataFrame(rows), {f"m{k}": (t, flips[k]) for k in range(20)}), settings)
+    assert 0.0 < row.early.value < 0.05
+    assert row.p_adjusted < 1e-6
+    assert (row.is_short, row.reason) == (False, UNSEEN)
 
 
 def test_a_transient_is_found_and_its_size(planted, strict, rng):

@@ -9,13 +9,16 @@ import pytest
 
 from stickslip.analysis.findings.alerts import Code
 from stickslip.analysis.findings.finding import Change, Fit, Lack, Law, Level, Reason, Scale, Verdict
+from stickslip.analysis.findings.numbers import limit
+from stickslip.analysis.findings.place import EVERYWHERE
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models import common_motion
-from stickslip.analysis.models.common_motion import Shown
+from stickslip.analysis.models.common_motion import LEAST_HARMONICS, Shown
 from stickslip.analysis.questions.slips import collective
-from stickslip.analysis.questions.slips.slow_motion import Slow, slow_motion
+from stickslip.analysis.questions.slips.slow_motion import CYCLES, Slow, slow_motion
 from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.stats.estimates import Estimate
+from stickslip.pipeline.design.units import Units
 from stickslip.workflows.scenes import rhythm as scene
 from tests.analysis import studies
 from tests.analysis.test_clustering import study_of
@@ -347,4 +350,12 @@ def test_windows_that_are_too_short_are_said_to_be(planted, rng):
     if study.judged():
         lacks = [one for one in collective.answer(study).findings if isinstance(one, Lack)]
         assert [lack.reason for lack in lacks] == [Reason.SHORT_WINDOW]
-        assert f"{motion.needed(study.settings.t_burn):,.0f}" in lacks[0].detail
+        assert f"{limit(motion.needed(study.settings.t_burn))}" in lacks[0].detail
+
+
+def test_the_time_that_may_suffice_is_more_than_there_was(settings):
+    """Ten harmonics of ten cycles end at 10.33: runs to t = 10 have been."""
+    short = Slow(None, [0, 1], None, cycle=9.6 / LEAST_HARMONICS / CYCLES, motion=None)
+    for units, until in ((Units(), "11"), (Units("s", "m", "kg"), "11 s")):
+        lack = collective._lacking(short, EVERYWHERE, dataclasses.replace(settings, t_burn=0.73, units=units))
+        assert lack.detail == f"runs to t = {until} may suffice"

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from stickslip.analysis import AnalysisSettings, Study
-from stickslip.analysis.contrast import Share, Statistic, contrast, course, judged
+from stickslip.analysis.contrast import Share, Statistic, contrast, judged, turns
 from stickslip.analysis.findings.finding import Course, Scale, Verdict
 from stickslip.analysis.measures import ENDS, SHORT_WINDOW, of_windows
 from stickslip.analysis.stats.compare import bounded_difference
@@ -212,24 +212,32 @@ def test_a_correlation_time_longer_than_the_window_can_tell_is_not_judged(plante
 # ---------------------------------------------------------------------------------------------- along a key
 
 
-def course_of(means, rng, n=20):
-    """That of a quantity with such means, of systems that differ by more than the values do, with noise of 0.5."""
+def turns_of(means, rng, n=20):
+    """Those of a quantity with such means, of systems that differ by more than the values do, with noise of 0.5."""
     systems = rng.normal(0.0, 5.0, n)
-    first, *between, last = (of(mean + systems + rng.normal(0.0, 0.5, n)) for mean in means)
-    level = 1.0 - 0.05 / (2 * len(between))
-    compare = partial(contrast, Statistic("mean", ratio), paired=True, confidence=level)
-    found = course([compare(first, value) for value in between], [compare(value, last) for value in between])
-    return None if found is None else (found[0], means[1 + found[1]])
+    values = [of(mean + systems + rng.normal(0.0, 0.5, n)) for mean in means]
+    level = 1.0 - 0.05 / (len(means) * (len(means) - 1) / 2)
+
+    def verdict(i, j):
+        return contrast(Statistic("mean", ratio), values[i], values[j], True, level).verdict
+
+    found = turns([float(sums.rows[:, 0].mean()) for sums in values], verdict)
+    return [(course, means[place], means[shown]) for course, place, shown in found]
 
 
 def test_what_turns_on_the_way_does_not_rise_or_fall(rng):
-    assert course_of([16.4, 9.05, 9.94, 10.63], rng) == (Course.MINIMUM, 9.05)
-    assert course_of([16.4, 20.0, 24.0, 10.63], rng) == (Course.MAXIMUM, 24.0)
-    assert course_of([16.4, 9.0, 24.0, 16.4], rng)[0] is Course.NO_TREND
-    assert course_of([16.4, 12.0, 10.0, 9.0], rng) is None
+    assert turns_of([16.4, 9.05, 9.94, 10.63], rng) == [(Course.MINIMUM, 9.05, 9.94)]
+    assert turns_of([16.4, 20.0, 24.0, 10.63], rng) == [(Course.MAXIMUM, 24.0, 10.63)]
+    assert turns_of([16.4, 9.0, 24.0, 16.5], rng) == [(Course.MINIMUM, 9.0, 24.0), (Course.MAXIMUM, 24.0, 16.5)]
+    assert turns_of([16.4, 12.0, 10.0, 9.0], rng) == []
+
+
+def test_a_peak_between_values_that_fall_is_a_turn(rng):
+    """A resonance: no value lies on one side of both ends."""
+    assert turns_of([27.4, 7.0, 11.3, 3.1, 1.9], rng) == [(Course.MINIMUM, 7.0, 11.3), (Course.MAXIMUM, 11.3, 3.1)]
 
 
 @pytest.mark.parametrize("means", [[10.0] * 6, [16.0, 12.0, 9.0, 9.0, 9.0, 9.0]])
 def test_what_is_flat_or_falls_turns_by_chance_in_a_twentieth_at_most(means, rng):
-    n_turns = sum(course_of(means, rng) is not None for _ in range(100))
+    n_turns = sum(turns_of(means, rng) != [] for _ in range(100))
     assert agrees(n_turns, 100, 0.0, 0.05)

@@ -202,7 +202,9 @@ def test_a_cut_off_and_an_exponential_are_told_from_a_power_law(planted_episodes
             "exponential": lambda rng, m: 1.0 + rng.exponential(20.0, m),
         }.items()
     }
-    assert laws["cut off"].predicate.startswith("follow a power law with a cut-off from M = ")
+    assert laws["cut off"].predicate.startswith("follow a power law with an exponential cut-off from M = ")
+    assert laws["cut off"].parameter.quantity.name == "b-value of a power law with an exponential cut-off"
+    assert ": b-value 0." in sentence(laws["cut off"]), "the sentence names the law once"
     assert laws["cut off"].parameter.estimate.low < 0.5 < laws["cut off"].parameter.estimate.high
     assert laws["exponential"].fit is Fit.FAILS
     assert laws["exponential"].parameter.estimate.value == pytest.approx(21.0, rel=0.05)

@@ -11,6 +11,7 @@ from stickslip.analysis import AnalysisSettings, Study
 from stickslip.analysis.findings.alerts import Code
 from stickslip.analysis.findings.finding import Lack, Level, Lifetime, Regime, Share, levels
 from stickslip.analysis.findings.words import sentence
+from stickslip.analysis.members import _WEAKENING, Proofs, may_be_proved
 from stickslip.analysis.models.fates import (
     COLLAPSED,
     DIVERGED,
@@ -26,6 +27,7 @@ from stickslip.analysis.models.fates import (
 from stickslip.analysis.questions.runs.fates import DELAY, QUESTION, answer
 from stickslip.analysis.stats.shares import share_over_matrices, wilson
 from stickslip.analysis.stats.survival import kaplan_meier, median
+from stickslip.pipeline.design.values import Course, Push, Pushes, Values
 from tests.analysis import studies
 from tests.analysis.designs import Data
 from tests.analysis.reports import of_kind
@@ -256,6 +258,25 @@ def test_fates_are_kept_apart(planted):
     assert codes(answered)[Code.UNCERTIFIED] == {"n": 2, "of": 20, "why": NOT_SOUGHT}
 
 
+@pytest.mark.parametrize(
+    "force",
+    [
+        {"force_amplitude": 25.0, "force_frequency": 15.0},
+        {"belt_speed": None, "values": {"belt_speed": Course((0.0, 1.0), (0.2, 0.4))}},
+        {"values": {"forces": Pushes((Push((1.0, 2.0, 0.0), None, None),))}},
+    ],
+)
+def test_a_proof_that_cannot_exist_is_not_asked_for(planted, force):
+    """Under a force that changes, or on such a belt, no record makes one."""
+    setting = {"values": Values(), "belt_speed": -0.2, "force_frequency": None} | dict.fromkeys(_WEAKENING) | force
+    setting["values"] = Values(dict(setting["values"]).items())
+    assert not may_be_proved(setting)
+    plain = data_of(planted, [QUIET] * 2 + [SUSTAINED] * 9)
+    assert codes(asked(plain))[Code.UNCERTIFIED]["why"] == NOT_SOUGHT
+    forced = Data(plain.members.assign(force_amplitude=25.0, force_frequency=15.0), plain.series)
+    assert codes(asked(forced))[Code.UNCERTIFIED]["why"] == Proofs.NONE_EXISTS
+
+
 def test_a_share_of_one_system_has_no_interval_in_words_and_rows(planted):
     answered = asked(data_of(planted, [COLLAPSED]))
     shares = of_kind(answered, Share)
@@ -350,7 +371,8 @@ def test_without_a_growth_rate_a_lull_cannot_be_told(planted):
     assert codes(asked(data))[Code.TEMPORARY] == {"n": 5, "of": 10}
     for changes in ({"growth_rate": None}, {"weakening_speed": 0.5}, planted.sigmoid):
         answered = asked(Data(data.members.assign(**changes), data.series))
-        assert codes(answered)[Code.UNCERTIFIED] == {"n": 5, "of": 10, "why": NOT_SOUGHT}
+        why = Proofs.NONE_EXISTS.value if "weakening_speed" in changes else NOT_SOUGHT
+        assert codes(answered)[Code.UNCERTIFIED] == {"n": 5, "of": 10, "why": why}
 
 
 def test_what_all_runs_do_has_a_bound(planted):

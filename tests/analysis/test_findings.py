@@ -134,11 +134,19 @@ def test_sentences():
     )
     away = Difference(Estimate(-0.3, -0.4, -0.2), Scale.ABSOLUTE)
     turn = Turn(Course.MINIMUM, Estimate(9.05, 8.85, 9.25), Place.key("kappa", "0.2"))
-    turned = Change(LATE, KAPPA, Estimate(16.4), Estimate(10.63), Difference(Estimate(-0.35, -0.4, -0.3)), turn=turn)
+    turned = Change(
+        LATE, KAPPA, Estimate(16.4), Estimate(10.63), Difference(Estimate(-0.35, -0.4, -0.3)), turns=(turn,)
+    )
     assert sentence(turned) == (
         "Median lifetime has a minimum of 9.05 (8.85 to 9.25) near kappa = 0.2. It falls from 16.4 and rises to 10.6"
         " as kappa goes from 0.1 to 0.4."
     )
+    peak = Turn(Course.MAXIMUM, Estimate(12.0, 11.8, 12.2), Place.key("kappa", "0.3"))
+    assert sentence(replace(turned, turns=(turn, peak))) == (
+        "Median lifetime has a minimum near kappa = 0.2 and a maximum near 0.3. It goes from 16.4"
+        " through 9.05 (8.85 to 9.25) and 12.00 (11.80 to 12.20) to 10.6 as kappa goes from 0.1 to 0.4."
+    )
+    assert sentence(replace(turned, turns=4 * (turn,))).startswith("Median lifetime turns 4 times as kappa goes from")
     gone = Change(SHARE, KAPPA, Estimate(0.5), Estimate(0.2), away, Place.key("eps", "0.03"))
     assert sentence(gone) == (
         "Share of runs in motion falls from 50% to 20%, by 30 (20 to 40) percentage points, "
@@ -324,7 +332,7 @@ def _of_the_package(rng):
     settings = tuple(f"sigmoid with eps = {eps}" for eps in (0.001, 0.01, 0.03, 0.1)[: rng.integers(1, 5)])
     turn = Turn(_pick(rng, Course), estimate, Place.key("kappa", "0.2"))
     yield level
-    for way in (None, turn):
+    for way in ((), (turn,), 2 * (turn,), 4 * (turn,)):
         yield Change(quantity, keys, Estimate(0.3), Estimate(0.41), difference, where, Basis(20), way)
     yield Share("share", "starts", predicates[0], estimate, where, level.comparison, Basis(20), 5000)
     yield Regime("slide", "starts", predicates, 17, 20, estimate, where, Basis(20))
@@ -374,6 +382,25 @@ def test_a_table_names_once_what_all_settings_share_and_breaks_none_of_its_parts
     assert table.caption == "All at n = 200."
     assert [row[table.head.index("where")] for row in table.rows] == [f"eps\u00a0=\u00a0{k}" for k in range(30)]
     assert findings_table(rows[:1]).rows[0][1] == "n\u00a0=\u00a0200, eps\u00a0=\u00a00"
+
+
+def test_a_cell_breaks_on_both_sides_of_an_interval_alone():
+    lower = Difference(Estimate(-0.3, -0.4, -0.2), Scale.ABSOLUTE)
+    table = findings_table([Level(SHARE, Estimate(0.2), comparison=Comparison("others", lower))])
+    (cell,) = (row[table.head.index("difference")] for row in table.rows)
+    assert cell.split(" ") == ["\u221230", "(\u221240\u00a0to\u00a0\u221220)", "percentage\u00a0points"]
+
+
+def test_of_another_dataset_both_values_are_said():
+    """No other finding says that of the other."""
+    gone = Difference(Estimate(-1.0, -1.0, -0.9))
+    value, speed = Estimate(0.0453, 0.0401, 0.0506), Quantity("v", "mean slip speed", unit="m/s")
+    level = Level(speed, Estimate(0.0), comparison=Comparison("other", gone, value), basis=Basis(8))
+    assert "below other at 0.0453 (0.0401 to 0.0506) m/s" in sentence(level)
+    (row,) = findings_table([level]).rows
+    assert "other: 0.0453 (0.0401\u00a0to\u00a00.0506)" in row
+    lead = sentence(Outcomes("other", different=("one",), largest=level, at_largest="one"))
+    assert lead.endswith("lower than other, 0 against 0.0453 m/s.")
 
 
 def test_the_first_screen_counts_the_rows_that_are_below():

@@ -317,8 +317,9 @@ def test_what_is_beyond_both_ends_of_a_key_is_told(recorded, settings):
     answer = changes_of(Study(recorded({"swing": lambda rng, m, v: at[v] + 0.01 * rng.normal()}), settings))
     (change,) = answer.findings[: answer.n_lead]
     assert (change.keys[0].second, change.difference.verdict) == ("-0.1", Verdict.LESS)
-    assert change.turn.course is Course.MAXIMUM
-    assert change.turn.estimate.value == pytest.approx(5.0, abs=0.05)
+    (turn,) = change.turns
+    assert turn.course is Course.MAXIMUM
+    assert turn.estimate.value == pytest.approx(5.0, abs=0.05)
     steady = recorded({"swing": lambda rng, m, v: 5.0 + 10 * v + 0.01 * rng.normal()})
     assert changes_of(Study(steady, settings)).n_lead == 1
 

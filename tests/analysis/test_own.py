@@ -153,7 +153,11 @@ def test_no_answer_is_a_line_and_the_page_stands(study):
     page = shown(report.html)
     assert page.startswith("Title</h1>")
     assert "Asked but not answered: How long is it? The &lt;length&gt;: no run is in motion.</p>" in page
-    assert "Asked but not answered: own:other: expected &lt;this&gt;, got that.</p>" in page
+    (*said,) = re.findall(r'<p class="lead">(.*?)</p>', page)
+    assert said[0] == "The answer to own:other: its code failed (expected &lt;this&gt;, got that)."
+    assert len(said) > 1, "then what was answered"
+    (lack,) = [finding for finding in report.findings["findings"] if finding["question"] == "own:other"]
+    assert (lack["leads"], lack["kind"]) == (True, "Lack")
     assert "own:third was not run; stickslip report DIR --own runs the code beside the scene.</p>" in page
     assert report.problems == {"own:other": "expected <this>, got that"}
     asked_nothing = build(study.data, study.settings, "Title", "", {})

@@ -87,8 +87,44 @@ def test_what_falls_and_rises_again_has_a_minimum(swept, settings):
     """By 60 at -0.3, where the ends are level."""
     data = swept({"belt_speed": BELT}, lambda at, _: -60 * (1 - ((at["belt_speed"] + 0.3) / 0.2) ** 2))
     change = next(finding for finding in changes_of(Study(data, settings)).findings if isinstance(finding, Changed))
-    assert (change.quantity.key, change.turn.course) == (measures.MEAN, Course.MINIMUM)
+    assert (change.quantity.key, [turn.course for turn in change.turns]) == (measures.MEAN, [Course.MINIMUM])
     assert re.search(r"has a minimum of .* near \|belt_speed\| = 0.3. It falls from \S+ and rises", sentence(change))
+
+
+def test_a_resonance_is_no_fall(swept, settings):
+    """It falls from -0.1 to -0.3 and from -0.35 to -0.5, and its end is the lowest."""
+    level = dict(zip(BELT, [90, 70, 50, 30, 10, 60, 20, 0], strict=True))
+    answer = changes_of(Study(swept({"belt_speed": BELT}, lambda at, _: level[at["belt_speed"]]), settings))
+    change = next(finding for finding in answer.findings if isinstance(finding, Changed))
+    assert [(turn.course, str(turn.near)) for turn in change.turns] == [
+        (Course.MAXIMUM, "|belt_speed| = 0.35"), (Course.MINIMUM, "|belt_speed| = 0.3"),
+    ]  # fmt: skip
+    caption = answer.figures["sweep_mean"].caption
+    assert "has a maximum near |belt_speed| = 0.35 and a minimum near 0.3." in caption
+    further = (finding for finding in answer.findings[1:] if finding.quantity.key == measures.MEAN)
+    n_turns = {finding.keys[0].second: len(finding.turns) for finding in further if isinstance(finding, Changed)}
+    assert n_turns == {"-0.4": 0, "-0.35": 0, "-0.3": 1, "-0.25": 2, "-0.2": 2, "-0.15": 2}
+
+
+@pytest.mark.parametrize(("n_late", "n_turns", "second"), [(18, 1, "-0.1"), (6, 0, "-0.2")])
+def test_a_share_that_comes_back_does_not_fall_to_its_last_value(swept, settings, n_late, n_turns, second):
+    """Of 20 runs all are in motion at -0.4 and -0.3, none at -0.2, some at -0.1."""
+    data = swept({"belt_speed": [-0.4, -0.3, -0.2, -0.1]}, lambda at, matrix: 0, n_matrices=20)
+    at, matrix = data.members["belt_speed"], data.members["matrix"]
+    data = ended(data, (at == -0.2) | ((at == -0.1) & (matrix >= n_late)), "collapsed")
+    change = next(finding for finding in changes_of(Study(data, settings)).findings if isinstance(finding, Changed))
+    assert change.quantity.key == measures.STICKING
+    assert (len(change.turns), change.keys[0].second) == (n_turns, second)
+    assert change.turns or change.after.value == 0.0
+
+
+def test_of_one_system_nothing_is_judged_and_nothing_has_an_interval(swept, settings):
+    answer = changes_of(Study(swept({"belt_speed": BELT[:3]}, lambda at, _: 0, n_matrices=1), settings))
+    assert "comparisons" not in answer.method
+    table = answer.tables["sweep_measures"]
+    assert "share" in " ".join(table["measure"])
+    assert table["estimate"].notna().any()
+    assert table[["estimate_low", "estimate_high"]].isna().all(axis=None)
 
 
 def test_opposite_changes_are_not_the_same(swept, settings):

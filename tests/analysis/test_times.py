@@ -115,6 +115,13 @@ def test_a_restricted_mean_has_an_interval_however_few_runs_have_it():
     assert 9.5 < one.high < 10.0
 
 
+def test_one_system_has_no_interval():
+    """One run of a system with one time: of other systems it says nothing."""
+    for is_counted in (False, True):
+        alone = mean_within(np.array([[1.0, 1.0]]), 4.0, 0.95, is_counted)
+        assert (alone.value, alone.low, alone.high, alone.reason) == (1.0, None, None, "one matrix")
+
+
 def test_many_times_alike_are_compared():
     """Three quarters of the runs of one setting have it at once; of the other, spread over 8 to 12."""
     first = seen([0.0] * 30 + [1.0] * 10)

@@ -130,7 +130,7 @@ def test_a_run_answers_it_and_an_edited_one_is_answered_anew(tmp_path, capsys, m
     assert said.out.startswith("How many?\nNumber of runs: 3, the same at any time.\n")
     assert "failed  own:endless: expected an answer within 5 s, got none; correct the function\n" in said.err
     shown = Path(out, "report.html").read_text()
-    assert "Asked but not answered: own:endless: expected an answer within 5 s, got none" in shown
+    assert "The answer to own:endless: its code failed (expected an answer within 5 s, got none" in shown
     assert '<details id="fates">' in shown
     (tmp_path / "own.py").write_text(OWN.replace("of runs", "of members") + "\n\nendless = question\n")
     assert main(["run", str(file), "--out", out, "--workers", "1"]) == 0

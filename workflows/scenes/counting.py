@@ -201,7 +201,7 @@ def _of_run(draws: int, run: Run) -> np.ndarray | None:
     times = [lull, run.win.t_stop - run.win.t_start]
     if not len(cut.t):
         return np.concatenate([np.zeros(N_COLUMNS + 4), times])
-    halves = enough.halves(cut.alone)[0]
+    halves = enough.halves(cut.alone, np.array([np.nan]))[0]  # what is cut has no period
     return np.concatenate([run_sums(cut, steps, draws, run.generator()), halves, [1.0], times])
 
 

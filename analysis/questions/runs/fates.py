@@ -385,7 +385,7 @@ def _alerts(study: Study, grid: Grid, ends: Sequence[Ends], short: Sequence[Grou
         (n_failed, Alert.of(Code.FAILED, n=n_failed, of=len(study.data.table.unchanged))),
         (short, drifting),
         (n_open > MOST_OPEN * n_recorded, Alert.of(Code.UNDECIDED, n=n_open, of=n_recorded)),
-        (n_quiet, uncertified(n_quiet, n_runs, study.seeks_proofs)),
+        (n_quiet, uncertified(n_quiet, n_runs, study.proofs)),
         (n_lull, Alert.of(Code.TEMPORARY, n=n_lull, of=n_runs)),
     )
     alerts = [alert for is_raised, alert in raised if is_raised]

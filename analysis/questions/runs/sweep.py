@@ -18,10 +18,21 @@ import pandas as pd
 from stickslip.analysis.answer import Answer
 from stickslip.analysis.by_key import by_key
 from stickslip.analysis.catalogues import bent, read
-from stickslip.analysis.contrast import Contrast, contrast, course
+from stickslip.analysis.contrast import Contrast, contrast, turns
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code, uncertified
-from stickslip.analysis.findings.finding import Basis, Finding, KeyChange, Lack, Level, Reason, Scale, Threshold, Turn
+from stickslip.analysis.findings.finding import (
+    Basis,
+    Finding,
+    KeyChange,
+    Lack,
+    Level,
+    Reason,
+    Scale,
+    Threshold,
+    Turn,
+    Verdict,
+)
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital
 from stickslip.analysis.grid import Grid, Point, axes_of, balanced, estimate, is_negative, points_at
@@ -97,10 +108,9 @@ def _method(grid: Grid, steps: Sequence[Step], unit: str) -> str:
     n_tests = sum(step.contrast.p_different is not None for step in steps)
     quantities = [measure.statistic.quantity for measure in grid.asked]
     defined = [quantity for quantity in quantities if quantity.definition][:MOST_DEFINED]
-    return (
-        f"Each value is compared with the first {unit} by {unit}{averages}{drawn}."
-        f" Verdicts are adjusted for {n_tests} comparisons (Holm), intervals are not."
-        + "".join(f" {capital(quantity.name)}: {quantity.definition}." for quantity in defined)
+    adjusted = f" Verdicts are adjusted for {n_tests} comparisons (Holm), intervals are not." * (n_tests > 0)
+    return f"Each value is compared with the first {unit} by {unit}{averages}{drawn}.{adjusted}" + "".join(
+        f" {capital(quantity.name)}: {quantity.definition}." for quantity in defined
     )
 
 
@@ -114,8 +124,8 @@ def _steps(grid: Grid, setting: Label) -> Iterator[KeyStep]:
     noise = max([ROUNDING, *(point.group.key[name] or 0.0 for point in points for name in RELATIVE)])
     for axis, measure in product(grid.axes, (*grid.asked, MOTION)):
         base, *further = _known_at(measure.name, points, axis)
-        along: list[KeyStep] = []
-        for value in further:
+        along: dict[int, KeyStep] = {}
+        for place, value in enumerate(further, 1):
             pairs = _pairs(points, axis, base, value)
             common = _in_common(measure.name, pairs)
             if measure is MOTION and not _differ(common):
@@ -132,12 +142,12 @@ def _steps(grid: Grid, setting: Label) -> Iterator[KeyStep]:
             )
             where = grid.where[setting] + _places(axis, pairs, common.counted)
             is_last = value == further[-1]
-            along.append(
-                KeyStep(Kind.KEY, setting, "", difference, keys, where, axis=axis, base=base, is_last=is_last)
+            along[place] = KeyStep(
+                Kind.KEY, setting, "", difference, keys, where, axis=axis, base=base, is_last=is_last
             )
-        if along and along[-1].is_last and axis.x is not None:
-            along[-1] = replace(along[-1], turn=_turn(grid, measure, points, axis, [base, *further]))
-        yield from along
+        turning = _turns(grid, measure, points, axis, [base, *further]) if along and axis.x is not None else []
+        for place, step in along.items():
+            yield replace(step, turns=tuple(turn for turn, shown in turning if shown <= place))
 
 
 def _pairs(points: Sequence[Point], axis: Axis, first: KeyValues, second: KeyValues) -> list[tuple[Point, Point]]:
@@ -156,30 +166,31 @@ def _contrast(measure: Measure, common: _Common, confidence: float, withheld: st
     )
 
 
-def _turn(
-    grid: Grid, measure: Measure, points: Sequence[Point], axis: Axis, values: Sequence[KeyValues]
-) -> Turn | None:
-    """Where a measure is shown to turn along an axis, with intervals for all that is asked so together."""
-    first, *between, last = values
-    if not between:
-        return None
-    n_intervals = 2 * len(between) * len(grid.asked) * len(grid.axes) * len(grid.settings)
-    level = 1.0 - (1.0 - grid.confidence) / max(n_intervals, 1)
+def _turns(
+    grid: Grid, measure: Measure, points: Sequence[Point], axis: Axis, rows: Sequence[KeyValues]
+) -> list[tuple[Turn, int]]:
+    """Where a measure is shown to turn along an axis, with intervals for all pairs of values of all that is asked.
 
-    def contrasts(pairs: Sequence[tuple[KeyValues, KeyValues]]) -> list[Contrast]:
-        return [_contrast(measure, _in_common(measure.name, _pairs(points, axis, *pair)), level) for pair in pairs]
+    Each with the place of the value at which that shows.
+    """
+    levels = [estimate(measure.statistic, points_at(points, axis, row), grid.confidence) for row in rows]
+    known = [k for k, level in enumerate(levels) if level.value is not None]
+    n_asked = (len(grid.asked) + 1) * len(grid.axes) * len(grid.settings)  # and the share that sticks late
+    n_pairs = n_asked * len(known) * (len(known) - 1) // 2
+    level = 1.0 - (1.0 - grid.confidence) / max(n_pairs, 1)
 
-    to_each, from_each = (
-        contrasts([(first, value) for value in between]),
-        contrasts([(value, last) for value in between]),
-    )
-    if (turning := course(to_each, from_each)) is None:
-        return None
-    shape, k = turning
-    there = estimate(measure.statistic, points_at(points, axis, between[k]), grid.confidence)
+    def verdict(i: int, j: int) -> Verdict:
+        pairs = _pairs(points, axis, rows[known[i]], rows[known[j]])
+        return _contrast(measure, _in_common(measure.name, pairs), level).verdict
+
+    places = turns([levels[k].value or 0.0 for k in known], verdict)
     is_of_size = len(axis.keys) == 1 and is_negative(*(row[0] for row in axis.rows))
-    near = KeyChange(axis.name, "", in_words(between[k]), is_of_size).said
-    return Turn(shape, there, Place.key(near.key, near.second))
+
+    def near(k: int) -> Place:
+        change = KeyChange(axis.name, "", in_words(rows[k]), is_of_size).said
+        return Place.key(change.key, change.second)
+
+    return [(Turn(course, levels[known[k]], near(known[k])), known[shown]) for course, k, shown in places]
 
 
 def _known_at(name: str, points: Sequence[Point], axis: Axis) -> Sequence[KeyValues]:
@@ -282,16 +293,29 @@ def _lead(
 
 
 def _largest_changes(steps: Sequence[KeyStep]) -> list[KeyStep]:
-    """One change of a statistic a key, the largest first: that of its ends or, if none is shown there, one that is.
+    """One change of a statistic a key, the largest first: that of its ends, or one that is shown.
 
-    A statistic that turns on the way is said from end to end.
+    A statistic that turns on the way is said with its turns; one that goes further on the way than to its last value,
+    from the first value to there.
     """
     chosen = []
     for along in by_key(steps, lambda step: step.axis).values():
-        chosen.append(
-            max(along, key=lambda step: (bool(step.turn), step.contrast.is_shown, step.is_last, step.contrast.weight))
-        )
+        if (last := along[-1]).turns:
+            chosen.append(last)
+            continue
+        shown = [step for step in along if step.contrast.is_shown] or along
+        further = [step for step in shown if _goes_further(step.contrast, last.contrast)]
+        at_end = [step for step in shown if step.is_last]
+        chosen.append(max(further or at_end or shown, key=lambda step: step.contrast.weight))
     return sorted(chosen, key=lambda step: step.contrast.weight, reverse=True)
+
+
+def _goes_further(inner: Contrast, last: Contrast) -> bool:
+    """Whether a statistic goes further than to its last value, which lies outside its interval there."""
+    first, end, there = inner.first.value, last.second.value, inner.second
+    if first is None or end is None or there.low is None or there.high is None:
+        return False
+    return first > end > there.high or first < end < there.low
 
 
 def _rest(grid: Grid, order: Sequence[str], steps: Sequence[KeyStep], unit: str) -> Iterator[Finding]:
@@ -347,7 +371,7 @@ def _alerts(study: Study, grid: Grid) -> list[Alert]:
     points, alerts, withheld = grid.every, list[Alert](), list[Alert]()
     if n_quiet := sum(point.fates[QUIET] for point in points):
         n_runs = sum(point.fates[name] for point in points for name in WATCHED)
-        alerts.append(uncertified(n_quiet, n_runs, study.seeks_proofs))
+        alerts.append(uncertified(n_quiet, n_runs, study.proofs))
     gaps: dict[tuple[tuple[str, str], ...], list[str]] = {}
     for measure in grid.asked:
         values = [point.measured[measure.name] for point in points]

@@ -15,7 +15,7 @@ from matplotlib.ticker import FixedLocator, MaxNLocator
 from stickslip.analysis.answer import Picture
 from stickslip.analysis.findings.finding import Verdict
 from stickslip.analysis.findings.numbers import signs
-from stickslip.analysis.findings.words import capital, listed
+from stickslip.analysis.findings.words import MOST_TURNS, capital, extrema, listed
 from stickslip.analysis.grid import Grid, is_negative, points_at
 from stickslip.analysis.measures import KEYS, STICKING, Measure
 from stickslip.analysis.stats.estimates import Estimate, with_ends
@@ -70,7 +70,10 @@ def _trend(grid: Grid, steps: Sequence[Step], key: str, is_of_size: bool) -> str
         return f"against {key}"
     if not verdicts:
         return f"shows no significant change with {key}"
-    if len(verdicts) > 1 or any(step.turn for step in steps):
+    turning = [step for step in steps if step.turns]
+    if turning and len({step.setting for step in steps}) == 1 and len(turning[-1].turns) <= MOST_TURNS:
+        return f"has {extrema(turning[-1].turns)}"
+    if len(verdicts) > 1 or turning:
         return f"changes in both directions along {key}"
     settings, changing = ({step.setting for step in steps_here} for steps_here in (steps, told_apart))
     names = [place.phrase for label, place in grid.where.items() if str(label) in changing]

@@ -357,7 +357,7 @@ def _alerts(study: Study, lead: Sums) -> list[Alert]:
     alerts = [
         Alert.of(Code.SETTLED, n=n[fates.COLLAPSED], of=n_runs, what="the law of cascade sizes"),
         Alert.of(Code.DIVERGED, n=n_grown, of=sum(map(len, grown)), where=where),
-        uncertified(n[fates.QUIET], n_runs, study.seeks_proofs),
+        uncertified(n[fates.QUIET], n_runs, study.proofs),
     ]
     raised = [alert for alert in alerts if dict(alert.numbers)["n"]]
     if any(group.basis(level).code == enough.DRIFTS for group in study.groups):

@@ -13,7 +13,7 @@ from stickslip.analysis.answer import Answer, Picture, Question, Recipe, places
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import Basis, Finding, Fit, Form, Lack, Law, Level, Quantity, Reason
-from stickslip.analysis.findings.numbers import number, signs
+from stickslip.analysis.findings.numbers import limit, number, signs
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import listed
 from stickslip.analysis.groups import Group
@@ -128,7 +128,7 @@ def _lacking(motion: Slow, where: Place, settings: AnalysisSettings) -> Lack:
     what = f"slow common motion{where.tail}"
     if motion.shown is Shown.NONE:
         return Lack(what, Reason.NOT_SHOWN, f"p-value {motion.fit.p:.2g}")
-    needed = f"{motion.needed(settings.t_burn):,.0f} {settings.units.time}".rstrip()
+    needed = f"{limit(motion.needed(settings.t_burn))} {settings.units.time}".rstrip()
     return Lack(what, Reason.SHORT_WINDOW, f"runs to t = {needed} may suffice")
 
 

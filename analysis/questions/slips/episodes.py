@@ -80,8 +80,9 @@ _METHOD = (
     " power law is fitted on the widest range on which the distribution functions of data and law differ by less than"
     " 2%, or by chance; b of two datasets can be compared on one range, [analysis] magnitude_range."
 )
-#: What follows the range of a power law in a sentence.
-BEYOND: Mapping[Kind, str] = {Kind.POWER: "", Kind.CUT_OFF: " with a cut-off", Kind.PEAK: ", below a peak,"}
+#: What follows the name of a power law in a sentence, and that of one whose cut-off is shown.
+BEYOND: Mapping[Kind, str] = {Kind.POWER: "", Kind.CUT_OFF: "", Kind.PEAK: ", below a peak,"}
+POWER_LAW, WITH_CUT_OFF = "power law", "power law with an exponential cut-off"
 #: What is said of each group, in this order.
 WORDS: Mapping[str, Quantity] = {
     RATE: Quantity("rate", "rate of episodes", things="episodes", dimension="frequency"),
@@ -113,6 +114,7 @@ TIME_PREDICTABLE = Quantity("after", "rank correlation of large moments with the
 B_POSITIVE = Quantity("b_positive", "b-value from rises alone (b-positive)")
 APART = Quantity("apart", "Kolmogorov-Smirnov distance between magnitudes")
 B_VALUE = Quantity("b", "b-value")
+B_WITH_CUT_OFF = replace(B_VALUE, name=f"b-value of a {WITH_CUT_OFF}")
 MOMENT = Quantity("moment", "mean moment", dimension="length")
 BY_TRAVEL = Quantity("by_travel", "number of episodes per block and unit of belt travel")
 _POISSON = "1, that of a Poisson process"
@@ -427,25 +429,27 @@ def _picture(study: Study, group: Catalogues, where: Place) -> list[Finding]:
         return [Lack(f"the law of moments{where.tail}", Reason.NOT_SHOWN, law.why)]
     scope = Level(IN_RANGE, group.in_range, where, basis=basis)
     span = f"M = {law.least:.1f} to {law.most:.1f}"
+    has_cut_off = law.cut_off.value is not None
+    name, b_value = (WITH_CUT_OFF, B_WITH_CUT_OFF) if has_cut_off else (POWER_LAW, B_VALUE)
     if law.picture is Kind.NONE:
         moment = group.ratio(lambda run: (np.abs(run.moment).sum(), len(run.moment)))
         mean = Level(MOMENT, moment, where, basis=basis)
-        b = Level(B_VALUE, law.b, where + Place.words(span), basis=basis)
+        b = Level(b_value, law.b, where + Place.words(span), basis=basis)
         far = b if law.b.high is not None and law.b.high <= 0.0 else None
         findings: list[Finding] = [Law(moments, f"follow a power law, since {law.why}", mean, Fit.FAILS, far)]
     elif law.picture is Kind.DECLARED:
         declared = where + Place.words(f"{span}, as declared")
         findings = [replace(level, where=declared) for level in (Level(B_VALUE, law.b, basis=basis), scope)]
     else:
-        b, predicate = Level(B_VALUE, law.b, where, basis=basis), f"follow a power law{BEYOND[law.picture]}"
-        findings = [Law(moments, f"{predicate} from {span}", b, scope=scope, things="episodes")]
+        b, predicate = Level(b_value, law.b, where, basis=basis), f"follow a {name}{BEYOND[law.picture]} from {span}"
+        findings = [Law(moments, predicate, b, called=B_VALUE.name, scope=scope, things="episodes")]
     large = where if law.begins is None else where + Place.words(f"M \u2265 {law.begins:.2f}")
     of_peak, moment_of_peak = group.in_peak
     findings += [
         Level(quantity, estimate, place, basis=basis)
         for quantity, estimate, place in (
             (PEAK_MOMENT, moment_of_peak, large),
-            (M_CUT, law.cut_off if law.picture is Kind.CUT_OFF else Estimate(), where),
+            (M_CUT, law.cut_off, where),
             (ATOM, group.in_atom, where),
             (PEAK, of_peak, large),
             (BELOW, group.below_range, where),
