@@ -14,7 +14,7 @@ from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
 
-from stickslip.pipeline.errors import command, printable
+from stickslip.pipeline.errors import command, printable, shortened
 from stickslip.pipeline.machine.processes import forked_workers
 from stickslip.pipeline.machine.signals import Interrupted
 from stickslip.workflows.commands.command import DONE, UNFINISHED, Command, Wrong, add_places, loads
@@ -128,6 +128,10 @@ def run(
     kept : Opened, optional
         As of `run_ensemble`; the questions of the user's own are not asked then.
     """
+    try:
+        import dask.config  # noqa: F401  reads the files that every process of a run will read
+    except ValueError as error:
+        raise Wrong(f"dask: {shortened(str(error), 400)}; correct the file, or unset DASK_CONFIG") from None
     from stickslip.workflows.asking import Asking
 
     # the jobs of Slurm are there: whoever started them may be on a machine that is not to compute
