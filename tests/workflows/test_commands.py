@@ -798,3 +798,11 @@ def test_a_damaged_configuration_of_dask_is_one_line(small_scene, tmp_path):
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
     assert str(tmp_path / "dask.yaml") in done.stderr
+
+
+def test_a_working_directory_that_was_removed_is_named_for_that(tmp_path):
+    gone = f'mkdir gone && cd gone && rmdir ../gone && "{sys.executable}" -m stickslip run quick --workers 1'
+    done = subprocess.run(gone, shell=True, cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (
+        1, "stickslip: expected a working directory, got one that was removed; go to another\n",
+    )  # fmt: skip

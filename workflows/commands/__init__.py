@@ -105,6 +105,15 @@ def main(argv: list[str] | None = None) -> int:
     return code
 
 
+def _lacks_directory() -> bool:
+    """Whether the directory that this process works in was removed."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return True
+    return False
+
+
 def _is_out() -> bool:
     """Whether what was printed could be written; if not, it is told."""
     try:
@@ -144,6 +153,9 @@ def _done(argv: list[str] | None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return UNFINISHED
     except OSError as error:  # a scene, a report or an answer that cannot be written
+        if _lacks_directory():
+            print("stickslip: expected a working directory, got one that was removed; go to another", file=sys.stderr)
+            return UNFINISHED
         print(f"stickslip: {error}; {remedy(error)}, then rerun the command", file=sys.stderr)
         return UNFINISHED
     except (MemoryError, ImportError) as error:
