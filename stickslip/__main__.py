@@ -2,7 +2,16 @@
 
 import sys
 
-from stickslip.workflows.commands import main
+
+def main() -> int:
+    """Run the command; it ends in silence if it is interrupted while it loads."""
+    try:
+        from stickslip.workflows.commands import main as command
+
+        return command()
+    except KeyboardInterrupt:
+        return 130
+
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 from stickslip.pipeline.machine.scratch import scratch
-from stickslip.pipeline.machine.signals import blocked
+from stickslip.pipeline.machine.signals import blocked, last_act
 
 # One thread each: threaded products in several processes fight for the cores, and threads that share a sum round
 # it differently. Libraries read these when they are loaded, so they must be set before.
@@ -211,14 +211,19 @@ def forked_workers() -> Iterator[None]:
         with blocked(), errors.instead():
             server.ensure_running()
         forks = Forks(server._forkserver_pid, errors)
-        try:
-            yield
-        finally:
-            forks = None
-            del settings["tempdir"]
+
+        def kill() -> None:  # else one that was stopped would outlive this process
             if server._forkserver_pid is not None:
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(server._forkserver_pid, signal.SIGKILL)
+
+        try:
+            with last_act(kill):
+                yield
+        finally:
+            forks = None
+            del settings["tempdir"]
+            kill()
 
 
 # ---------------------------------------------------------------------------------------------- a child

@@ -7,6 +7,7 @@ import fcntl
 import os
 import shutil
 import socket
+import stat
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -69,6 +70,7 @@ def scratch(parent: str | None = None) -> Iterator[Scratch]:
 def _locked(parent: str) -> Scratch:
     while True:
         path = tempfile.mkdtemp(prefix=_PREFIX, dir=parent)
+        os.chmod(path, stat.S_IRWXU)  # whatever the umask: else nobody can open it, to remove it
         # another process may sweep it before it is locked: then the next
         with contextlib.suppress(FileNotFoundError), contextlib.ExitStack() as opened:
             descriptor = os.open(path, _FOLDER)

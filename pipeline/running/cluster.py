@@ -144,6 +144,7 @@ def local(workers: int, dashboard: bool = False) -> Iterator[Client]:
             opened.callback(loop.stop)
             opened.enter_context(_files_for(workers))
             _check_address_space()
+            _check_loopback()
             clusters: list[SpecCluster] = []
             starting = _start(workers, dashboard, loop, opened, clusters)
             opened.callback(_abandon, clusters, loop)
@@ -167,6 +168,21 @@ def _check_address_space() -> None:
             f"workers: expected a limit of {_LEAST_SPACE / 1e9:.2g} GB or more of memory for each process, got"
             f" {limit / 1e9:.2g} GB (`ulimit -v`); raise it, or take a larger machine"
         )
+
+
+def _check_loopback() -> None:
+    """Refuse a machine whose own address answers nobody: dask would wait for minutes.
+
+    Raises `ScheduleError`.
+    """
+    try:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            socket.create_connection(server.getsockname(), _ENDING).close()
+    except OSError as error:
+        raise ScheduleError(
+            f"workers: expected connections within this machine, at 127.0.0.1, got none ({error}); bring its loopback"
+            " up, as by `ip link set lo up`"
+        ) from error
 
 
 @contextlib.contextmanager

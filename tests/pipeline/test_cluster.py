@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import multiprocessing
 import os
 import resource
@@ -171,3 +172,13 @@ def test_workers_that_may_not_open_enough_files_are_refused_and_a_soft_limit_is_
         assert resource.getrlimit(resource.RLIMIT_NOFILE)[0] == 40
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+
+
+def test_a_machine_without_loopback_is_told_at_once(monkeypatch):
+    def unreachable(*_):
+        raise OSError(errno.ENETUNREACH, "Network is unreachable")
+
+    monkeypatch.setattr(socket, "create_connection", unreachable)
+    words = r"workers: expected connections .* got none .*unreachable.*; bring"
+    with pytest.raises(ScheduleError, match=words), cluster.local(1):
+        pass

@@ -9,6 +9,7 @@ import math
 import os
 import shutil
 import signal
+import stat
 import subprocess
 import sys
 import time
@@ -334,3 +335,27 @@ def test_a_hangup_that_is_ignored_stays_so():
         process.send_signal(signal.SIGHUP)
         process.communicate("\n", timeout=500)
     assert process.returncode == 0
+
+
+def test_a_scratch_directory_can_be_opened_whatever_the_umask(tmp_path):
+    before = os.umask(0o777)
+    try:
+        with scratch(str(tmp_path)) as directory:
+            assert stat.S_IMODE(os.stat(directory.path).st_mode) == 0o700
+    finally:
+        os.umask(before)
+    assert [*tmp_path.iterdir()] == []
+
+
+def test_a_fork_server_that_was_stopped_does_not_outlive_a_program_that_ends_at_once():
+    code = (
+        "import os, signal\n"
+        "from stickslip.pipeline.machine import processes, signals\n"
+        "with processes.forked_workers():\n"
+        "    print(processes.forks._pid, flush=True)\n"
+        "    os.kill(processes.forks._pid, signal.SIGSTOP)\n"
+        "    signals.end_at_once(signal.SIGTERM)\n"
+    )
+    done = python("-c", code)
+    assert done.returncode == 143
+    until(lambda: not is_running(int(done.stdout)), 20.0)

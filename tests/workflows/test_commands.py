@@ -727,3 +727,52 @@ def test_commands_to_copy_quote_names_with_spaces(here, tmp_path, small_scene, c
     assert main(["run", str(named), "--out", out, "--workers", "1", "--no-report"]) == 0
     (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("report"))
     assert shlex.split(line.partition(": ")[2]) == ["stickslip", "report", out]
+
+
+@pytest.mark.parametrize("words", ["--help", "run --help", "--version"])
+def test_help_that_cannot_be_written_is_one_line(words):
+    done = subprocess.run(
+        f'"{sys.executable}" -m stickslip {words} > /dev/full', shell=True, capture_output=True, text=True
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith("stickslip: ")
+    assert "No space left on device" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_terminal_that_lacks_letters_shows_their_numbers(small_scene, tmp_path):
+    scene = shutil.copy(small_scene, tmp_path / "ж.toml")
+    done = python(
+        "-m",
+        "stickslip",
+        "run",
+        str(scene),
+        "--dry-run",
+        env=os.environ | {"PYTHONIOENCODING": "ascii"},
+        cwd=tmp_path,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "\\u0436" in done.stdout
+
+
+def test_a_backend_of_the_session_is_none_of_ours(dataset, tmp_path):
+    copy = shutil.copytree(dataset, tmp_path / "copy")
+    done = python("-m", "stickslip", "report", str(copy), env=os.environ | {"MPLBACKEND": "bogus"})
+    assert (done.returncode, "Traceback" in done.stderr) == (0, False)
+
+
+def test_a_damaged_configuration_of_dask_is_one_line(small_scene, tmp_path):
+    (tmp_path / "dask.yaml").write_text("- a")
+    words = ("run", str(small_scene), "--workers", "1", "--out", str(tmp_path / "out"))
+    done = python("-m", "stickslip", *words, env=os.environ | {"DASK_CONFIG": str(tmp_path)})
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert str(tmp_path / "dask.yaml") in done.stderr
+
+
+def test_a_working_directory_that_was_removed_is_named_for_that(tmp_path):
+    gone = f'mkdir gone && cd gone && rmdir ../gone && "{sys.executable}" -m stickslip run quick --workers 1'
+    done = subprocess.run(gone, shell=True, cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (
+        1, "stickslip: expected a working directory, got one that was removed; go to another\n",
+    )  # fmt: skip

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import re
+import signal
 import sys
 from importlib import import_module
 from typing import Any
@@ -94,6 +96,9 @@ def main(argv: list[str] | None = None) -> int:
     """Run the command with `argv` (the process's own by default); returns the exit code."""
     if argv is None:
         open_streams()
+        os.environ["MPLBACKEND"] = "agg"  # it draws files alone, whatever backend a session has
+        if isinstance(sys.stdout, io.TextIOWrapper):  # names may have letters that its encoding lacks
+            sys.stdout.reconfigure(errors="backslashreplace")
     with printed():
         code = _done(argv)
     if argv is None:
@@ -101,16 +106,44 @@ def main(argv: list[str] | None = None) -> int:
     return code
 
 
-def _done(argv: list[str] | None) -> int:
-    whole = parser()
-    arguments = whole.parse_args(argv, argparse.Namespace(is_program=argv is None, parser=whole))
+def _lacks_directory() -> bool:
+    """Whether the directory that this process works in was removed."""
     try:
+        os.getcwd()
+    except FileNotFoundError:
+        return True
+    return False
+
+
+def _is_out() -> bool:
+    """Whether what was printed could be written; if not, it is told."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python tries again as it ends
+        print(
+            f"stickslip: the standard output cannot be written ({error.strerror}); {remedy(error)}", file=sys.stderr
+        )
+        return False
+    return True
+
+
+def _done(argv: list[str] | None) -> int:
+    try:
+        whole = parser()
+        arguments = whole.parse_args(argv, argparse.Namespace(is_program=argv is None, parser=whole))
         # one thread: a report's products are small, and a member's digits are a worker's
         with interruptible(arguments.is_program), frugal(), scheduler(arguments):
             return COMMANDS[arguments.command](arguments)
     except Interrupted as interrupt:
         print("\ninterrupted", file=sys.stderr)
         return interrupt.exit_code
+    except KeyboardInterrupt:  # before signals are ours
+        return 128 + signal.SIGINT
+    except SystemExit:  # of the parser, once its help is out, or a mistake is told
+        if not _is_out():
+            return UNFINISHED
+        raise
     except (Wrong, SceneError, QueryError, AddressError) as error:
         print(f"stickslip: {error}", file=sys.stderr)
         return WRONG
@@ -121,6 +154,9 @@ def _done(argv: list[str] | None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return UNFINISHED
     except OSError as error:  # a scene, a report or an answer that cannot be written
+        if _lacks_directory():
+            print("stickslip: expected a working directory, got one that was removed; go to another", file=sys.stderr)
+            return UNFINISHED
         print(f"stickslip: {error}; {remedy(error)}, then rerun the command", file=sys.stderr)
         return UNFINISHED
     except (MemoryError, ImportError) as error:

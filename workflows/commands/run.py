@@ -14,7 +14,7 @@ from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
 
-from stickslip.pipeline.errors import command, printable
+from stickslip.pipeline.errors import command, printable, shortened
 from stickslip.pipeline.machine.processes import forked_workers
 from stickslip.pipeline.machine.signals import Interrupted
 from stickslip.workflows.commands.command import DONE, UNFINISHED, Command, Wrong, add_places, loads
@@ -115,6 +115,10 @@ def run(
     `words` are those with which the command is given again. `load` gives the scene, and is called once workers are
     loading what they need. Questions of the user's own lie beside `file`; they are not asked of rows that are `kept`.
     """
+    try:
+        import dask.config  # noqa: F401  reads the files that every process of a run will read
+    except ValueError as error:
+        raise Wrong(f"dask: {shortened(str(error), 400)}; correct the file, or unset DASK_CONFIG") from None
     from stickslip.workflows.asking import Asking
 
     # the jobs of Slurm are there: whoever started them may be on a machine that is not to compute
