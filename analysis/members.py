@@ -145,11 +145,11 @@ class Members:
 
 def frequencies(setting: Mapping[str, Any]) -> list[Any]:
     """Those of the harmonic forces of a setting: numbers, or what they are drawn from."""
-    held = dict(setting["values"])
-    several = held.get("forces")
+    values = dict(setting["values"])
+    several = values.get("forces")
     if isinstance(several, Pushes):
         return [push.harmonic[_FREQUENCY] for push in several.parts if push.course is None]
-    frequency = held.get("force_frequency", setting["force_frequency"])
+    frequency = values.get("force_frequency", setting["force_frequency"])
     return [] if frequency is None else [frequency]
 
 
@@ -173,11 +173,11 @@ def may_be_proved(setting: Mapping[str, Any]) -> bool:
 
     There are proofs on one belt of constant speed under constant forces, where friction does not weaken with speed.
     """
-    held = dict(setting["values"])
-    pushes = held["forces"].parts if isinstance(held.get("forces"), Pushes) else ()
-    courses = [*held.values(), *(push.course for push in pushes)]
+    values = dict(setting["values"])
+    pushes = values["forces"].parts if isinstance(values.get("forces"), Pushes) else ()
+    courses = [*values.values(), *(push.course for push in pushes)]
     is_constant = not any(isinstance(course, InTime) for course in courses) and not any(frequencies(setting))
-    return is_constant and "belt_speed" not in held and all(setting[name] is None for name in _WEAKENING)
+    return is_constant and "belt_speed" not in values and all(setting[name] is None for name in _WEAKENING)
 
 
 _FREQUENCY = 1  # of the numbers of a harmonic force

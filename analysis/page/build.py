@@ -147,23 +147,23 @@ def build(
     by_key = {question.key: question for question in asked(study) if question is not None}
     questions = [_with_problem(question) if question.problem else question for question in by_key.values()]
     parts = [part(question, settings.units) for question in questions]
-    lacking = [part for part in parts if part.answer.is_lack]
-    leading, folded = _in_order(study, [part for part in parts if not part.answer.is_lack])
-    failed = [part for part in lacking if by_key[part.key].problem and part.key in settings.question]
+    lacking = [piece for piece in parts if piece.answer.is_lack]
+    leading, folded = _in_order(study, [piece for piece in parts if not piece.answer.is_lack])
+    failed = [piece for piece in lacking if by_key[piece.key].problem and piece.key in settings.question]
     lead, panels = _lead(_as_asked(settings.question, [*failed, *leading])), _panels(leading)
     title, about = _title(leading, title, about)
     groups = groups_table(study)
     laws, is_told = engine_laws(study.groups)  # one alone is named in the table of settings
     sources = {file: digest for question in questions for file, digest in question.sources.items()}
     sections = [
-        *(part.section(panels, part.lead[0] in lead, k == 0) for k, part in enumerate(leading)),
-        *(part.section(panels, False, False) for part in folded),
+        *(piece.section(panels, piece.lead[0] in lead, k == 0) for k, piece in enumerate(leading)),
+        *(piece.section(panels, False, False) for piece in folded),
         _provenance(study, groups, lacking, sources, provenance, laws * (not is_told)),
     ]
     page = Page(
         title, about, lead, panels, leading[0].head if leading else PageTable(),
-        _alerts(study, leading, [part for part in parts if part not in leading]),
-        [*[laws] * is_told, *_notes(settings.question, by_key, {part.key: part for part in lacking})], sections,
+        _alerts(study, leading, [piece for piece in parts if piece not in leading]),
+        [*[laws] * is_told, *_notes(settings.question, by_key, {piece.key: piece for piece in lacking})], sections,
         {"made-from": made_from} | ({"own-questions": "run"} if sources else {}),
         leading[0].answer.paragraph if leading else "",
     )  # fmt: skip

@@ -165,8 +165,8 @@ class Store:
     def _leftovers(self, manifest: Manifest) -> list[str]:
         """What a crash may have left: files that were being written, and shards that were not committed."""
         names = {f"{DATA}/{name}" for name in manifest.shards}
-        left = [name for name in self.place.names() if _OURS.fullmatch(name) or _BEGUN.fullmatch(name)]
-        return [name for name in left if name not in names]
+        unlisted = [name for name in self.place.names() if _OURS.fullmatch(name) or _BEGUN.fullmatch(name)]
+        return [name for name in unlisted if name not in names]
 
     def _remove(self, name: str) -> None:
         with contextlib.suppress(OSError):
@@ -183,12 +183,12 @@ class Store:
         self._check_owner(names)
         if MANIFEST not in names:
             # a crash before the first manifest leaves no more than these
-            others = [name for name in names if name not in (LOCK, DATA, TIMINGS) and not _BEGUN.fullmatch(name)]
-            if not others:
+            strangers = [name for name in names if name not in (LOCK, DATA, TIMINGS) and not _BEGUN.fullmatch(name)]
+            if not strangers:
                 return self._fresh
             return self._recorded(
                 StoreError(
-                    f"{self.place}: expected a dataset or an empty directory, got files ({others[0]}) but no "
+                    f"{self.place}: expected a dataset or an empty directory, got files ({strangers[0]}) but no "
                     f"{MANIFEST}; choose another directory"
                 )
             )

@@ -318,9 +318,9 @@ class PublishedTable(_Declared):
 QuestionName = Annotated[str, Field(pattern=rf"^[a-z]\w*$|{PATTERN}")]
 
 
-def _magnitudes(given: object) -> tuple[float, float] | None:
+def _magnitudes(value: object) -> tuple[float, float] | None:
     """A range of magnitudes that is wide enough."""
-    match given:
+    match value:
         case None:
             return None
         case [int() | float() as least, int() | float() as most] if (
@@ -328,7 +328,7 @@ def _magnitudes(given: object) -> tuple[float, float] | None:
         ):
             return float(least), float(most)
     raise ValueError(
-        f"expected two magnitudes, the second by {LEAST_RANGE} or more the larger, got {shown(given)}; write e.g."
+        f"expected two magnitudes, the second by {LEAST_RANGE} or more the larger, got {shown(value)}; write e.g."
         " [-1.0, 0.5]"
     )
 

@@ -147,7 +147,7 @@ def _steps(grid: Grid, setting: Label) -> Iterator[KeyStep]:
             )
         turning = _turns(grid, measure, points, axis, [base, *further]) if along and axis.x is not None else []
         for place, step in along.items():
-            yield replace(step, turns=tuple(turn for turn, shown in turning if shown <= place))
+            yield replace(step, turns=tuple(turn for turn, since in turning if since <= place))
 
 
 def _pairs(points: Sequence[Point], axis: Axis, first: KeyValues, second: KeyValues) -> list[tuple[Point, Point]]:
@@ -190,7 +190,7 @@ def _turns(
         change = KeyChange(axis.name, "", in_words(rows[k]), is_of_size).said
         return Place.key(change.key, change.second)
 
-    return [(Turn(course, levels[known[k]], near(known[k])), known[shown]) for course, k, shown in places]
+    return [(Turn(course, levels[known[k]], near(known[k])), known[since]) for course, k, since in places]
 
 
 def _known_at(name: str, points: Sequence[Point], axis: Axis) -> Sequence[KeyValues]:
@@ -277,9 +277,9 @@ def _lead(
 ) -> list[Finding]:
     """Where stick-slip ends, and changes of the first measure; if none of these is shown, one that is too."""
     leading = order[:2] if order[0] == STICKING else order[:1]
-    shown = {step.statistic for step in steps if step.contrast.is_shown}
-    if shown.isdisjoint(leading):
-        leading = [*leading, *[name for name in order if name in shown][:1]]
+    significant = {step.statistic for step in steps if step.contrast.is_shown}
+    if significant.isdisjoint(leading):
+        leading = [*leading, *[name for name in order if name in significant][:1]]
     chosen = [
         step
         for name in leading
@@ -303,10 +303,10 @@ def _largest_changes(steps: Sequence[KeyStep]) -> list[KeyStep]:
         if (last := along[-1]).turns:
             chosen.append(last)
             continue
-        shown = [step for step in along if step.contrast.is_shown] or along
-        further = [step for step in shown if _goes_further(step.contrast, last.contrast)]
-        at_end = [step for step in shown if step.is_last]
-        chosen.append(max(further or at_end or shown, key=lambda step: step.contrast.weight))
+        significant = [step for step in along if step.contrast.is_shown] or along
+        further = [step for step in significant if _goes_further(step.contrast, last.contrast)]
+        at_end = [step for step in significant if step.is_last]
+        chosen.append(max(further or at_end or significant, key=lambda step: step.contrast.weight))
     return sorted(chosen, key=lambda step: step.contrast.weight, reverse=True)
 
 

@@ -95,7 +95,7 @@ class PaperScene(ChartScene):
 
     def asks(self) -> Iterator[Ask]:
         """The runs of random systems that the figures and their claims need, the longest first."""
-        n, few = self.n[-1], range(self.few)
+        n, matrices = self.n[-1], range(self.few)
         if 4 in self.figures:
             for matrix, law in product(range(2 * self.few), ("algebraic", "arctan", "sigmoid")):
                 yield Ask("sigmoids", law, n, matrix, self.t_few, law=law, keeps_exits=law == "sigmoid")
@@ -127,11 +127,11 @@ class PaperScene(ChartScene):
                 yield Ask("long", "", blocks, matrix, self.t_end)
             for blocks in self.n:
                 yield Ask("base", "", blocks, 0, self.t_few, "sigmoid")
-            for name, factor, matrix in product(SCALES, (0.5, 2.0), few):
+            for name, factor, matrix in product(SCALES, (0.5, 2.0), matrices):
                 yield Ask("keys", f"{name} {factor:g}", n, matrix, self.t_few, scale=name, factor=factor)
             for detail, matrix in product(("start", "friction"), range(min(4 * self.few, self.matrices))):
                 yield Ask("details", detail, n, matrix, self.t_few, detail=detail)
-            for coupling, blocks, matrix in product(sim.COUPLINGS, self.n, few):
+            for coupling, blocks, matrix in product(sim.COUPLINGS, self.n, matrices):
                 yield Ask("readings", coupling, blocks, matrix, self.t_few, coupling=coupling)
 
     def measure(self, say: Say) -> Measured:
