@@ -86,8 +86,8 @@ def add_term(root: Path) -> None:
     systems = root / "sim" / "systems"
     row = blocks(page("extending"), "python")[0].strip()
     edit(systems / "terms.py", ("\n)\n\n#: The arguments", f"\n    {row},\n)\n\n#: The arguments"))
-    force = '        object.__setattr__(self, "force", forces'
-    drag = '        object.__setattr__(self, "drag", per_block("drag", drag, n))\n'
+    force = '        values.update(mass=per_block("mass"'
+    drag = '        values.update(drag=per_block("drag", drag, n))\n'
     beyond = (
         '    "drag": Beyond(\n        lambda system: bool(system.drag.any()),\n        "drag", "none, as {} needs",'
         " lambda system: show.span(system.drag),\n    ),\n"
