@@ -19,7 +19,7 @@ from matplotlib.axes import Axes
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import READ
-from stickslip.analysis.models.motion import POINTS, RUNS, early_and_late
+from stickslip.analysis.models.motion import POINTS, RUNS, TENTH, early_and_late
 from stickslip.analysis.series.runs import Ended, Runs
 from stickslip.analysis.series.windows import in_parts, windows
 from stickslip.analysis.stats.compare import against
@@ -30,8 +30,8 @@ from stickslip.analysis.style import EXACT, GREY, bars, panel
 
 #: Other values of t_burn that estimates are made with: shares of the chosen one, and of the time after it.
 BEFORE, AFTER = (0.0, 0.5), (0.125, 0.25, 0.5)
-#: Of a window, the first part; and the least shift of the mean that its digits show, in half-widths of its interval.
-TENTH, SHOWS, UNSEEN = 0.1, 0.05, "less than the mean's digits show"
+#: The least shift of the mean that its digits show, in half-widths of its interval.
+SHOWS, UNSEEN = 0.05, "less than the mean's digits show"
 MOST_RUNS = 200  # of which estimates are made again
 EPISODES, MEAN = "rate of episodes", "mean number of sticking blocks"
 
@@ -84,17 +84,14 @@ def geweke(study: Study, groups: Sequence[Group]) -> list[Tested]:
             sums = _by_unit(study, members, means[:, 1:])
             mean = over_matrices(ratio, _by_unit(study, members, means[:, :1]), level)
         early, p, reason = _early(sums, level)
-        if p is not None and not _shows(early, mean):
+        is_seen = p is not None and _shows(early, mean)
+        if p is not None and not is_seen:
             reason = UNSEEN
-        rows.append(
-            Tested(
-                group.label, study.settings.t_burn, len(sums), len(members), len(group), early, p, None, False, reason
-            )
-        )
+        numbers = study.settings.t_burn, len(sums), len(members), len(group)
+        rows.append(Tested(group.label, *numbers, early, p, None, is_seen, reason))
     adjusted = zip(rows, together(row.p_value for row in rows), strict=True)
     return [
-        row._replace(p_adjusted=p, is_short=p is not None and p < 1 - level and row.reason != UNSEEN)
-        for row, p in adjusted
+        row._replace(p_adjusted=p, is_short=row.is_short and p is not None and p < 1 - level) for row, p in adjusted
     ]
 
 

@@ -159,8 +159,8 @@ def _differences(ax: Axes, steps: Sequence[Step], colours: Sequence[str]) -> Non
                 ax.plot([np.copysign(widest, end)], [y], arrow, color=colour, markersize=3, clip_on=False, gid="cut")
         face = colour if step.contrast.is_shown else "white"
         ax.plot([value], [y], "o", color=colour, markersize=4, clip_on=False, markerfacecolor=face)
-    forms = {step.contrast.statistic.quantity.form is Form.SHARE for step in steps}
-    units = " (of shares, in percentage points)" * (True in forms)
+    has_shares = any(step.contrast.statistic.quantity.form is Form.SHARE for step in steps)
+    units = " (of shares, in percentage points)" * has_shares
     ax.set(xlim=(-widest, widest), ylim=(len(names) - 0.5, -0.5), xlabel=f"difference in %{units}")
     ax.set_yticks(range(len(names)), [fill(name, _LETTERS) for name in names])
     ax.tick_params(axis="y", length=0)

@@ -124,6 +124,9 @@ def _sizes(runs: Windows, names: np.ndarray) -> np.ndarray:
     return np.column_stack([names[codes // width], codes % width, n_times[codes]])
 
 
+TENTH = 0.1  # of a window: its first part, where the start shows longest
+
+
 def early_and_late(runs: Windows, period: np.ndarray) -> np.ndarray:
     """Time means of n_stick in the first tenth and in the last half of each window, shape (R, 2).
 
@@ -131,7 +134,7 @@ def early_and_late(runs: Windows, period: np.ndarray) -> np.ndarray:
     """
     tenths = runs.means(10)
     means = np.column_stack([tenths[:, 0], tenths[:, 5:].mean(axis=1)])
-    return enough.over_periods(runs, period, means, 0.1, np.ceil)
+    return enough.over_periods(runs, period, means, TENTH, np.ceil)
 
 
 def _sums(runs: Windows, period: np.ndarray, is_brief: bool, unit: float) -> np.ndarray:

@@ -187,15 +187,17 @@ def changes(lines: Sequence[Along], unit: str, confidence: float) -> list[Change
     adjusted = holm([averaged.compared.p_different for *_, averaged in tested]).tolist()
     changed = []
     for (number, of_set, averaged), p in zip(tested, adjusted, strict=True):
-        compared, is_share = averaged.compared, number is Number.SHARE
-        size = Estimate(compared.difference, *compared.interval(confidence))
+        is_share = number is Number.SHARE
+        size = _estimate(averaged.after - averaged.before, confidence)
         scale = Scale.ABSOLUTE if is_share else Scale.RELATIVE
         difference = Difference(
             size if is_share else size.under(np.expm1), scale, family=Family(len(tested), p, alpha=1 - confidence)
         )
         key, (old, new) = of_set[0].key, of_set[0].ends
         keys = (KeyChange(key, shown(old), shown(new), is_negative(old, new)),)
-        before, after = (averaged.level(side, confidence, is_share) for side in (averaged.before, averaged.after))
+        before, after = (_estimate(side, confidence) for side in (averaged.before, averaged.after))
+        if not is_share:
+            before, after = before.under(np.exp), after.under(np.exp)
         basis = Basis(min(len(motion.units) for line in of_set for motion in (line.groups[0], line.groups[-1])), unit)
         changed.append(Change(NUMBERS[number], keys, before, after, difference, _averaged_over(of_set), basis))
     return changed
@@ -223,12 +225,11 @@ class _Averaged(NamedTuple):
         change = self.after - self.before
         return Compared(float(change[0]), jackknife_error(change[1:]), len(change) - 2)
 
-    @staticmethod
-    def level(values: np.ndarray, confidence: float, is_share: bool) -> Estimate:
-        """One of the two, as the number itself, with its interval."""
-        half = student.half_width(confidence, len(values) - 2) * jackknife_error(values[1:])
-        estimate = Estimate(*(float(values[0]) + half * np.array([0.0, -1.0, 1.0])).tolist())
-        return estimate if is_share else estimate.under(np.exp)
+
+def _estimate(values: np.ndarray, confidence: float) -> Estimate:
+    """A number with its interval, from its values of shape (1 + G,): of all systems, and with each left out."""
+    value, half = float(values[0]), student.half_width(confidence, len(values) - 2) * jackknife_error(values[1:])
+    return Estimate(value, value - half, value + half)
 
 
 def _averaged_over(lines: Sequence[Along]) -> Place:
@@ -266,10 +267,8 @@ def power_law(number: Number, key: str, lines: Sequence[Along], confidence: floa
     x, y = x - in_set @ (share.T @ x), y - in_set @ (share.T @ y)
     by_set = (in_set.T @ (weight[:, None] * x[:, None] * y)) / (in_set.T @ (weight * x**2))[:, None]
     slopes = (weight * x) @ y / (weight @ x**2)
-    slope, error, n_free = float(slopes[0]), jackknife_error(slopes[1:]), len(points) - len(sets) - 1
-    half = student.half_width(confidence, len(units) - 1) * error
-    misfit = float(special.chdtrc(n_free, weight @ (y[:, 0] - slope * x) ** 2))
-    exponent = Estimate(slope, slope - half, slope + half)
+    n_free, exponent = len(points) - len(sets) - 1, _estimate(slopes, confidence)
+    misfit = float(special.chdtrc(n_free, weight @ (y[:, 0] - slopes[0] * x) ** 2))
     return Power(number, key, float(values.min()), float(values.max()), exponent, misfit, _p_apart(by_set))
 
 

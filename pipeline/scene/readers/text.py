@@ -91,15 +91,18 @@ class Text(Reader):
             raise ValueError(f"expected a column {name!r}, got {there}")
         return places[0]
 
-    def _cells(self, line: str) -> list[str]:
+    def _parted(self, line: str) -> list[str]:
+        """A line at its separators, as `_numbers` reads it: one between quotes parts nothing."""
         if self._separator is None:
-            cells = line.split()
-        else:  # as `_numbers` reads it: a separator between quotes parts nothing
-            try:
-                (cells,) = csv.reader([line], delimiter=self._separator, skipinitialspace=True)
-            except csv.Error as error:
-                raise ValueError(f"expected numbers and headings, got a line with a {error}") from error
-        return [cell.strip().strip("\"'").strip() for cell in cells]
+            return line.split()
+        try:
+            (cells,) = csv.reader([line], delimiter=self._separator, skipinitialspace=True)
+        except csv.Error as error:
+            raise ValueError(f"expected numbers and headings, got a line with a {error}") from error
+        return cells
+
+    def _cells(self, line: str) -> list[str]:
+        return [cell.strip().strip("\"'").strip() for cell in self._parted(line)]
 
     def _has_numbers(self, line: str) -> bool:
         """Whether a line has a number where others have one, so that it is no heading."""
@@ -124,7 +127,7 @@ class Text(Reader):
         """The numbers of some columns, shape (rows, columns)."""
         fits("rows of numbers", BYTES_OF_ENTRY * len(self._lines) * self._width)
         for number, line in self._lines:
-            if (n_cells := len(self._cells(line))) != self._width:
+            if (n_cells := len(self._parted(line))) != self._width:
                 raise ValueError(
                     f"line {number}: expected {self._width} columns, as in the last line, got {n_cells}; correct it"
                 )
