@@ -310,8 +310,8 @@ def _interval(test: Test, confidence: float) -> Estimate:
     return Estimate(test.difference, *test.interval(confidence))
 
 
-def turns(values: Sequence[float], verdict: Callable[[int, int], Verdict]) -> list[tuple[Course, int, int]]:
-    """Where a statistic turns along a key: whether it has a minimum or a maximum, at which value, and by which shown.
+def turns(values: Sequence[float], verdict: Callable[[int, int], Verdict]) -> list[tuple[Course, int, range, int]]:
+    """Where a statistic turns along a key.
 
     It rises, or falls, until a pair of its values shows the opposite; it turned at the extreme value before. Empty if
     it is consistent with one that rises, or falls, all along.
@@ -322,16 +322,28 @@ def turns(values: Sequence[float], verdict: Callable[[int, int], Verdict]) -> li
         The estimates along the key.
     verdict : callable
         On the second less the first of two values, by place, with an interval as wide as the number of pairs asks.
+
+    Returns
+    -------
+    list of (Course, int, range, int)
+        Whether it has a minimum or a maximum; the place of the extreme value; that of the values around it that are
+        not shown to differ from it; and of the value by which it shows.
     """
-    places, begin, course = list[tuple[Course, int, int]](), 0, 0
+    places, begin, course = list[tuple[Course, int, range, int]](), 0, 0
     for j in range(1, len(values)):
         for i in range(begin, j):
             if course * (values[j] - values[i]) > 0.0:
                 continue  # goes on as before
             side = _SIDES.get(verdict(i, j), 0)
             if course * side < 0:
-                begin = max(range(begin + 1, j), key=lambda k: course * values[k])
-                places.append((Course.MAXIMUM if course > 0 else Course.MINIMUM, begin, j))
+                before, begin = begin, max(range(begin + 1, j), key=lambda k: course * values[k])
+                first = last = begin
+                while first - 1 > before and verdict(first - 1, begin) not in _SIDES:
+                    first -= 1
+                while last + 1 < j and verdict(begin, last + 1) not in _SIDES:
+                    last += 1
+                kind = Course.MAXIMUM if course > 0 else Course.MINIMUM
+                places.append((kind, begin, range(first, last + 1), j))
                 course = side
                 break
             course = course or side

@@ -76,7 +76,7 @@ def answer(study: Study) -> Answer | None:
     grid, unit = Grid.of(study), noun(study.unit)
     unjudged = [step for setting in grid.settings for step in _steps(grid, setting)]
     steps = judged_together(unjudged, 1 - grid.confidence)
-    judged = [step for step in steps if step.contrast.is_known]
+    judged = [step for step in steps if step.contrast.is_known or step.turns]
     order = _order(grid, [step for step in judged if step.setting == grid.settings[0]] or judged)
     # where stick-slip ends is said better by `fates`, if it is asked there
     ends = [] if is_asked(study) else [end for setting in grid.settings for end in _thresholds(grid, setting, unit)]
@@ -124,15 +124,16 @@ def _steps(grid: Grid, setting: Label) -> Iterator[KeyStep]:
     noise = max([ROUNDING, *(point.group.key[name] or 0.0 for point in points for name in RELATIVE)])
     for axis, measure in product(grid.axes, (*grid.asked, MOTION)):
         base, *further = _known_at(measure.name, points, axis)
-        along: dict[int, KeyStep] = {}
+        along, alike = dict[int, KeyStep](), set[int]()
         for place, value in enumerate(further, 1):
             pairs = _pairs(points, axis, base, value)
             common = _in_common(measure.name, pairs)
-            if measure is MOTION and not _differ(common):
-                continue
             reasons = (point.measured[measure.name].withheld for pair in pairs for point in pair)
             withheld = "" if common.counted else next(filter(None, reasons), "")
             difference = _contrast(measure, common, grid.confidence, withheld)
+            if measure is MOTION and not _differ(common):
+                alike.add(place)
+                difference = replace(difference, p_different=None)
             if measure is not MOTION and _is_same(common, noise * _largest(measure.name, points)):
                 # no test: what is the same in each of a few units may differ in others
                 difference = replace(difference, is_same=True, p_different=None)
@@ -145,9 +146,13 @@ def _steps(grid: Grid, setting: Label) -> Iterator[KeyStep]:
             along[place] = KeyStep(
                 Kind.KEY, setting, "", difference, keys, where, axis=axis, base=base, is_last=is_last
             )
-        turning = _turns(grid, measure, points, axis, [base, *further]) if along and axis.x is not None else []
+        if len(alike) == len(along):
+            continue
+        turning = _turns(grid, measure, points, axis, [base, *further]) if axis.x is not None else []
         for place, step in along.items():
-            yield replace(step, turns=tuple(turn for turn, since in turning if since <= place))
+            turns_before = tuple(turn for turn, since in turning if since <= place)
+            if turns_before or place not in alike:
+                yield replace(step, turns=turns_before)
 
 
 def _pairs(points: Sequence[Point], axis: Axis, first: KeyValues, second: KeyValues) -> list[tuple[Point, Point]]:
@@ -186,11 +191,15 @@ def _turns(
     places = turns([levels[k].value or 0.0 for k in known], verdict)
     is_of_size = len(axis.keys) == 1 and is_negative(*(row[0] for row in axis.rows))
 
-    def near(k: int) -> Place:
-        change = KeyChange(axis.name, "", in_words(rows[k]), is_of_size).said
-        return Place.key(change.key, change.second)
+    def near(around: range) -> Place:
+        first, last = (in_words(rows[known[k]]) for k in (around[0], around[-1]))
+        change = KeyChange(axis.name, first, last, is_of_size).said
+        value = change.second if len(around) == 1 else type(change.second)(f"{change.first} to {change.second}")
+        return Place.key(change.key, value)
 
-    return [(Turn(course, levels[known[k]], near(known[k])), known[since]) for course, k, since in places]
+    return [
+        (Turn(course, levels[known[k]], near(around)), known[since]) for course, k, around, since in places
+    ]
 
 
 def _known_at(name: str, points: Sequence[Point], axis: Axis) -> Sequence[KeyValues]:
