@@ -310,7 +310,7 @@ def _interval(test: Test, confidence: float) -> Estimate:
     return Estimate(test.difference, *test.interval(confidence))
 
 
-def turns(values: Sequence[float], verdict: Callable[[int, int], Verdict]) -> list[tuple[Course, int, range, int]]:
+def turns(values: Sequence[float], verdict: Callable[[int, int], Verdict]) -> list[tuple[Course, range, int]]:
     """Where a statistic turns along a key.
 
     It rises, or falls, until a pair of its values shows the opposite; it turned at the extreme value before. Empty if
@@ -325,25 +325,22 @@ def turns(values: Sequence[float], verdict: Callable[[int, int], Verdict]) -> li
 
     Returns
     -------
-    list of (Course, int, range, int)
-        Whether it has a minimum or a maximum; the place of the extreme value; that of the values around it that are
-        not shown to differ from it; and of the value by which it shows.
+    list of (Course, range, int)
+        Whether it has a minimum or a maximum; the places of the extreme value, which neighbours may share, as none of
+        all runs; and that of the value by which it shows.
     """
-    places, begin, course = list[tuple[Course, int, range, int]](), 0, 0
+    places, begin, course = list[tuple[Course, range, int]](), 0, 0
     for j in range(1, len(values)):
         for i in range(begin, j):
             if course * (values[j] - values[i]) > 0.0:
                 continue  # goes on as before
             side = _SIDES.get(verdict(i, j), 0)
             if course * side < 0:
-                before, begin = begin, max(range(begin + 1, j), key=lambda k: course * values[k])
-                first = last = begin
-                while first - 1 > before and verdict(first - 1, begin) not in _SIDES:
-                    first -= 1
-                while last + 1 < j and verdict(begin, last + 1) not in _SIDES:
+                begin = max(range(begin + 1, j), key=lambda k: course * values[k])
+                last = begin
+                while last + 1 < j and values[last + 1] == values[begin]:
                     last += 1
-                kind = Course.MAXIMUM if course > 0 else Course.MINIMUM
-                places.append((kind, begin, range(first, last + 1), j))
+                places.append((Course.MAXIMUM if course > 0 else Course.MINIMUM, range(begin, last + 1), j))
                 course = side
                 break
             course = course or side

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 #: Where the scene of each chart is, loaded when it is asked for. A line here, and the command knows a chart.
 CHARTS = {
+    "limit": "stickslip.workflows.gallery.charts.limit:LimitScene",
     "one_block": "stickslip.workflows.gallery.field.one_block:OneBlockScene",
     "paper": "stickslip.workflows.gallery.paper.chart:PaperScene",
     "scaling": "stickslip.workflows.gallery.charts.scaling:ScalingScene",

@@ -191,14 +191,14 @@ def _turns(
     places = turns([levels[k].value or 0.0 for k in known], verdict)
     is_of_size = len(axis.keys) == 1 and is_negative(*(row[0] for row in axis.rows))
 
-    def near(around: range) -> Place:
-        first, last = (in_words(rows[known[k]]) for k in (around[0], around[-1]))
+    def near(extreme: range) -> Place:
+        first, last = (in_words(rows[known[k]]) for k in (extreme[0], extreme[-1]))
         change = KeyChange(axis.name, first, last, is_of_size).said
-        value = change.second if len(around) == 1 else type(change.second)(f"{change.first} to {change.second}")
+        value = change.second if len(extreme) == 1 else type(change.second)(f"{change.first} to {change.second}")
         return Place.key(change.key, value)
 
     return [
-        (Turn(course, levels[known[k]], near(around)), known[since]) for course, k, around, since in places
+        (Turn(course, levels[known[extreme[0]]], near(extreme)), known[since]) for course, extreme, since in places
     ]
 
 

@@ -117,7 +117,7 @@ def test_the_command_that_measures_has_one_thread():
 
 
 BAD = {
-    "unknown chart": ('"planted"', '"plant"', "chart: expected 'one_block' or 'paper' or ", "got 'plant'"),
+    "unknown chart": ('"planted"', '"plant"', "chart: expected 'limit' or 'one_block' or ", "got 'plant'"),
     "unknown key": ("n = 5", "n = 5\nnumber = 5", "number: unknown key", "remove it"),
     "missing key": ("n = 5\n", "", "n: expected the number of blocks", "add `n = 20`"),
     "wrong type": ("n = 5", 'n = "five"', "n: expected", "e.g. `n = 20`"),
@@ -149,6 +149,7 @@ def test_a_scene_of_the_field_is_what_its_keys_say_by_default(name):
     ("name", "extent"),
     [
         ("fig3", "figure 3 of the paper"),
+        ("limit", "28 runs, each beside its limits"),
         ("scaling", "6 random systems with either engine and 5 chains"),
         ("speed_accuracy", "12 methods on 6 problems"),
         ("stability", " cells, in one process"),

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import sparray
 
 #: A batch of products takes about so many seconds: long beside the clock, short beside the machine's moods.
 _BATCH, _BATCHES = 3e-4, 5
@@ -20,12 +21,15 @@ Found = TypeVar("Found")
 
 
 class Product:
-    """One product of a matrix with a vector, by numpy (float64)."""
+    """One product of a matrix with a vector (float64), by numpy, or by SciPy if it is sparse."""
 
-    def __init__(self, matrix: NDArray[np.float64]) -> None:
-        n = len(matrix)
-        names = {"dot": np.dot, "matrix": np.ascontiguousarray(matrix), "x": np.ones(n), "out": np.empty(n)}
-        self._timer, self._n = Timer("dot(matrix, x, out=out)", globals=names), 16
+    def __init__(self, matrix: NDArray[np.float64] | sparray) -> None:
+        n = matrix.shape[0]
+        names = {"matrix": matrix, "x": np.ones(n)}
+        if isinstance(matrix, np.ndarray):
+            names |= {"dot": np.dot, "matrix": np.ascontiguousarray(matrix), "out": np.empty(n)}
+        statement = "dot(matrix, x, out=out)" if "out" in names else "matrix @ x"
+        self._timer, self._n = Timer(statement, globals=names), 16
         while (seconds := self._timer.timeit(self._n)) < _BATCH:
             self._n = max(2 * self._n, int(self._n * _BATCH / max(seconds, 1e-9)))
 
