@@ -74,7 +74,7 @@ class Proofs(StrEnum):
     SOUGHT_WHERE_IT_SAVES_TIME = (
         "a proof that no block does was sought only where it saves time (set collapse = true under [record])"
     )
-    NONE_EXISTS = "proofs are of one belt of constant speed, constant forces and friction without weakening"
+    NONE_EXISTS = "no proof exists where forces or belts change, belts differ, or friction weakens with speed"
 
 
 @dataclass(frozen=True, eq=False)

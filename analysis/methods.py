@@ -75,7 +75,7 @@ class Apart:
 
     def comparison(self) -> Comparison:
         """A statistic beside that of the reference, for a finding."""
-        return Comparison(self.reference.method, self.step.contrast.difference)
+        return Comparison(self.reference.noun, self.step.contrast.difference)
 
 
 def compare(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apart]:

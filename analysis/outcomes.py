@@ -52,7 +52,15 @@ def outcomes(
                 words[UNDECIDED] = (f"any {noun}",)
             findings.append(
                 Outcomes(
-                    other, **words, largest=level, at_largest=at_largest, others=further, scope=scope, where=where
+                    other,
+                    equal=words.get(EQUAL, ()),
+                    different=words.get(DIFFERENT, ()),
+                    undecided=words.get(UNDECIDED, ()),
+                    largest=level,
+                    at_largest=at_largest,
+                    others=further,
+                    scope=scope,
+                    where=where,
                 )
             )
     return findings

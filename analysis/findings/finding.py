@@ -395,6 +395,8 @@ class Outcomes:
         The setting of the largest difference.
     others : tuple of str
         The settings that differ, beside that of the largest difference.
+    second : Difference, optional
+        In the same quantity, that of the only other setting that differs.
     scope : str
         In what they are compared, where not in all that is recorded: "the number of sticking blocks".
     where : Place
@@ -408,6 +410,7 @@ class Outcomes:
     largest: Level | None = None
     at_largest: str = ""
     others: tuple[str, ...] = ()
+    second: Difference | None = None
     scope: str = ""
     where: Place = EVERYWHERE
 

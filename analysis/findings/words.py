@@ -206,7 +206,7 @@ def _amount(share: Estimate, n: int | None, things: str, basis: Basis | None = N
         count += f" of {based_on(basis)}"
     if share.value not in (0.0, 1.0):
         return f"{with_interval(share, Form.SHARE)} of {count}"
-    bound, end = ("at least", share.low) if share.value else ("at most", share.high)
+    bound, end = ("lower bound", share.low) if share.value else ("upper bound", share.high)
     digits = decimals(share, Form.SHARE)
     bracket = "" if end in (None, share.value) else f" ({bound} {number(end, Form.SHARE, digits)}{place})"
     return ("all " if share.value else f"none of {'the ' * (count == things)}") + count + bracket
@@ -226,6 +226,12 @@ def _level(level: Level, is_brief: bool = False) -> Clauses:
 def _value(quantity: Quantity, estimate: Estimate) -> str:
     """An estimate with its unit."""
     return in_unit(with_interval(estimate, quantity.form), quantity.unit)
+
+
+def _alone(quantity: Quantity, estimate: Estimate) -> str:
+    """An estimate to the digits that its interval leaves, without that, and without its unit."""
+    assert estimate.value is not None
+    return number(estimate.value, quantity.form, decimals(estimate, quantity.form))
 
 
 def _in_clause(level: Level) -> str:
@@ -408,7 +414,8 @@ MOST_TURNS = 2  # whose places a sentence says
 
 def _turning(change: Change, along: str) -> Clauses:
     """A change that is not one way all along."""
-    name, (start, end), turns = change.quantity.name, _levels(change), change.turns
+    name, quantity, turns = change.quantity.name, change.quantity, change.turns
+    start, end = _alone(quantity, change.before), in_unit(_alone(quantity, change.after), quantity.unit)
     if len(turns) > MOST_TURNS:
         return f"{name} turns {len(turns)} times {along}", f"it goes {_from_to(change)}"
     if len(turns) > 1:
@@ -541,10 +548,11 @@ def _outcomes(outcomes: Outcomes, is_brief: bool = False) -> Clauses:
     scope = f" in {outcomes.scope}" if outcomes.scope else ""
     words = []
     distance = "" if is_brief or largest is None else _larger(largest, reference)
-    if outcomes.different and distance:
+    if outcomes.different and distance and largest is not None:
         words.append(f"{outcomes.at_largest} gives {distance}")
         if outcomes.others:
-            words.append(f"{listed(outcomes.others)} also differ{_s(outcomes.others)}")
+            by = "" if outcomes.second is None else f", by {size(outcomes.second, largest.quantity.form)}"
+            words.append(f"{listed(outcomes.others)} also differ{_s(outcomes.others)}{by}")
     elif outcomes.different:
         words.append(f"{listed(outcomes.different)} differ{_s(outcomes.different)} from {reference}")
     if outcomes.equal:
@@ -592,10 +600,7 @@ def _against(level: Level) -> str:
     """Both values of a comparison, after its difference, where that of the reference is not said elsewhere."""
     if level.comparison is None or level.comparison.value is None:
         return ""
-    form, estimates = level.quantity.form, (level.estimate, level.comparison.value)
-    values = [
-        number(estimate.value, form, decimals(estimate, form)) for estimate in estimates if estimate.value is not None
-    ]
+    values = (_alone(level.quantity, estimate) for estimate in (level.estimate, level.comparison.value))
     return f", {in_unit(' against '.join(values), level.quantity.unit)}"
 
 

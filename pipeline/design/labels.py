@@ -30,6 +30,11 @@ def engine_name(engine: str) -> str:
     return ENGINES[engine].title
 
 
+def engine_noun(engine: str) -> str:
+    """An engine as a noun: "the exact law"."""
+    return ENGINES[engine].noun or ENGINES[engine].title
+
+
 def engines_in_words(engines: Collection[str]) -> str:
     """What some engines are, a sentence each, under their names on pages."""
     named = (ENGINES[engine] for engine in sorted(engines, key=place))

@@ -154,6 +154,7 @@ class Engine(ABC):
 
     name: ClassVar[str]  #: as in ``engine="..."``
     title: ClassVar[str]  #: on pages of a report; default: its name
+    noun: ClassVar[str] = ""  #: where that is no noun
     about: ClassVar[str]  #: one line for scenes, and for pages that name it
     #: The package of its compiled kernels, which the module `integrate` there loads; "" if it has none.
     kernels: ClassVar[str] = ""

@@ -262,14 +262,15 @@ def swept(planted_runs):
 def test_where_along_a_key_attractors_change(swept, settings):
     answered = fates.answer(Study(swept, settings))
     assert said(answered) == [
-        "At belt_speed = 1 to 7, all 35 starts (at least 57% at each) end on a limit cycle.",
-        "At belt_speed = 9 to 12, all 20 starts (at least 57% at each) end in steady sliding.",
-        "At belt_speed = 1 to 4, all 20 starts (at least 57% at each) end on a limit cycle of 1 exit per period.",
+        "At belt_speed = 1 to 7, all 35 starts (lower bound 57% at each) end on a limit cycle.",
+        "At belt_speed = 9 to 12, all 20 starts (lower bound 57% at each) end in steady sliding.",
+        "At belt_speed = 1 to 4, all 20 starts (lower bound 57% at each) end on a limit cycle of 1 exit per period.",
     ]
     regimes = of_kind(answered, Regime)
     assert (
         sentence(regimes[3])
-        == "At belt_speed = 5 to 7, all 15 starts (at least 57% at each) end on a limit cycle of 2 exits per period."
+        == "At belt_speed = 5 to 7, all 15 starts (lower bound 57% at each) end on a limit cycle of 2 exits per"
+        " period."
     )
     for regime in regimes:
         assert regime.share.low == pytest.approx(wilson(5, 5)[0])  # of five starts
@@ -317,9 +318,9 @@ def over_two(planted_runs):
 def test_each_value_of_a_second_key_has_its_regimes_and_the_ends_lead(over_two, settings):
     answered = fates.answer(Study(over_two, settings))
     assert said(answered) == [
-        "At belt_speed = 1, static = 1.2, all 5 starts (at least 57%) end on a limit cycle.",
-        "At belt_speed = 2 to 5, static = 1.2, all 20 starts (at least 57% at each) end in steady sliding.",
-        "At belt_speed = 1 to 3, static = 1.6, all 15 starts (at least 57% at each) end on a limit cycle.",
+        "At belt_speed = 1, static = 1.2, all 5 starts (lower bound 57%) end on a limit cycle.",
+        "At belt_speed = 2 to 5, static = 1.2, all 20 starts (lower bound 57% at each) end in steady sliding.",
+        "At belt_speed = 1 to 3, static = 1.6, all 15 starts (lower bound 57% at each) end on a limit cycle.",
     ]
     regimes = of_kind(answered, Regime)
     assert [dict(regime.where.parts)["static"] for regime in regimes] == ["1.2", "1.2", "1.6", "1.6", "1.4", "1.4"]
@@ -352,8 +353,8 @@ def test_values_that_differ_in_their_seventh_digit_are_told_apart(planted_runs, 
     ])  # fmt: skip
     answered = fates.answer(Study(data, settings))
     assert said(answered) == [
-        "At belt_speed = 3.210571 and 3.210572, all 10 starts (at least 57% at each) end on a limit cycle.",
-        "At belt_speed = 3.210573, all 5 starts (at least 57%) end in steady sliding.",
+        "At belt_speed = 3.210571 and 3.210572, all 10 starts (lower bound 57% at each) end on a limit cycle.",
+        "At belt_speed = 3.210573, all 5 starts (lower bound 57%) end in steady sliding.",
     ]
     assert answered.tables["fates"]["of"].tolist() == [5, 5, 5]
 

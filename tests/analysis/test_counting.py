@@ -129,7 +129,7 @@ def test_coupling_is_told_by_the_number_of_blocks(planted, rng):
     )
     assert sums[0].rest.value == pytest.approx(sum(part.estimate.value for part in sums[0].parts[:2]))
     figure = answer.figures["counting"].recipe()
-    assert [ax.get_ylabel() for ax in figure.axes] == [counting.EXCESS, counting.SCALED]
+    assert [ax.get_ylabel() for ax in figure.axes] == [counting.OVER_COIN, counting.SCALED]
     labels = {text.get_text() for text in figure.legends[0].texts}
     assert labels == {"p = 1/2", "two-state: finite size", "time-shifted: own dynamics too", "runs: coupling too"}
     one = counting.question(coupled_blocks(planted, (40,), 0.1, rng))

@@ -55,7 +55,7 @@ def test_the_sigmoid_is_set_against_the_exact_law(planted):
     assert (lead.different, lead.equal, lead.undecided) == (("sigmoid",), (), ())
     assert lead.largest.quantity.name == "mean number of sticking blocks"
     said = sentence(lead)
-    assert re.match(r"Sigmoid gives [\d.]+% \([^)]*\) more sticking blocks than exact", said)
+    assert re.match(r"Sigmoid gives [\d.]+% \([^)]*\) more sticking blocks than the exact law", said)
     assert len(said.split()) <= 25
     assert not far.alerts
 

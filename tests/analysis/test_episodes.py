@@ -400,7 +400,7 @@ def test_methods_are_held_against_exact_events(planted_episodes, planted, strict
     answer = asked(data, strict)
     different, undecided = of_kind(answer, Outcomes)
     assert answer.findings[:2] == [different, undecided]
-    assert (different.other, different.different) == ("exact", ("sigmoid with eps ≥ 1e-3",))
+    assert (different.other, different.different) == ("the exact law", ("sigmoid with eps ≥ 1e-3",))
     assert (different.at_largest, different.largest.comparison.difference.estimate.value) == (
         "sigmoid with eps = 0.01", -1.0
     )  # fmt: skip
@@ -434,13 +434,13 @@ def test_a_method_that_keeps_the_episodes_may_lose_slip_onsets(planted_episodes,
     data = replace(data, series=series, episodes=pd.concat(episodes_of, ignore_index=True))
     different, alike = of_kind(asked(data, settings), Outcomes)
     assert re.match(
-        r"Sigmoid.* with eps = 1e-4 gives [\d.]+% \(.*\) fewer slip onsets than exact\.", sentence(different)
+        r"Sigmoid.* with eps = 1e-4 gives [\d.]+% \(.*\) fewer slip onsets than the exact law\.", sentence(different)
     )
     assert alike.undecided == ("moreau with step = 0.01",)
     assert "onsets" not in alike.scope
     (distance, *_) = (level for level in of_kind(asked(data, settings), Level) if level.quantity is episodes.APART)
-    assert (distance.comparison.other, distance.comparison.difference) == ("exact", None)
-    assert sentence(distance).endswith(", compared with exact.")
+    assert (distance.comparison.other, distance.comparison.difference) == ("the exact law", None)
+    assert sentence(distance).endswith(", compared with the exact law.")
 
 
 def test_a_method_that_keeps_rate_and_magnitudes_may_stretch_episodes(planted_episodes, planted, strict, rng):
@@ -457,7 +457,9 @@ def test_a_method_that_keeps_rate_and_magnitudes_may_stretch_episodes(planted_ep
     answer = asked(replace(data, episodes=table), strict)
     different, undecided = of_kind(answer, Outcomes)
     assert different.different == ("sigmoid with eps = 1e-3",)
-    assert re.search(r"gives a mean duration of episodes [45]\.\d+% .* higher than exact", sentence(different))
+    assert re.search(
+        r"gives a mean duration of episodes [45]\.\d+% .* higher than the exact law", sentence(different)
+    )
     contrasts = answer.tables["episode_contrasts"]
     is_told = ~contrasts["setting"].str.contains("0.001|1e-3") & contrasts["quantity"].ne(SLIP)
     largest = contrasts.loc[is_told, "relative"].abs().max()

@@ -346,7 +346,7 @@ def test_a_run_that_has_not_moved_is_not_in_motion(planted):
         for k, name in enumerate(data.series)
     }
     answered = asked(Data(data.members, series))
-    assert sentence(answered.findings[0]) == "All 20 runs (at least 83.9%) are stuck at t = 1000."
+    assert sentence(answered.findings[0]) == "All 20 runs (lower bound 83.9%) are stuck at t = 1000."
     assert fate("finished", series["200-0"], 1000.0, n=200) == UNMOVED
     assert fate("finished", series["200-0"], 1000.0, n=201) == SUSTAINED
 
@@ -481,8 +481,8 @@ def test_sizes_are_grouped_by_what_all_their_runs_do(planted):
     plan = {20: [COLLAPSED] * 5, 50: [COLLAPSED] * 5, 100: [SUSTAINED] * 5, 250: [DIVERGED] * 4 + [SUSTAINED]}
     answered = asked(of_sizes(planted, plan))
     assert regimes_of(answered) == [
-        "At n = 20 and 50, all 10 runs (at least 57% at each) end in steady sliding.",
-        "At n = 100, all 5 runs (at least 57%) still stick and slip at t = 1000.",
+        "At n = 20 and 50, all 10 runs (lower bound 57% at each) end in steady sliding.",
+        "At n = 100, all 5 runs (lower bound 57%) still stick and slip at t = 1000.",
         "At n = 250, 80% (38 to 96%) of 5 runs grow without limit; the others still stick and slip at t = 1000.",
     ]
     # Wilson's of 5 in 5: the systems of 20 and of 50 blocks are not counted together
@@ -503,8 +503,8 @@ def test_sizes_are_grouped_by_what_all_their_runs_do(planted):
 def test_many_changes_along_a_key_are_counted(planted):
     by_turns = {n: [COLLAPSED if k % 2 else SUSTAINED] * 4 for k, n in enumerate(range(10, 80, 10))}
     assert regimes_of(asked(of_sizes(planted, by_turns))) == [
-        "At 4 of 7 values of n: all 16 runs (at least 51% at each) still stick and slip at t = 1000.",
-        "At n = 20, 40 and 60, all 12 runs (at least 51% at each) end in steady sliding.",
+        "At 4 of 7 values of n: all 16 runs (lower bound 51% at each) still stick and slip at t = 1000.",
+        "At n = 20, 40 and 60, all 12 runs (lower bound 51% at each) end in steady sliding.",
     ]
 
 

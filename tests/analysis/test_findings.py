@@ -201,7 +201,7 @@ def test_sentences():
         "Moments follow a power law (5.5% of episodes): b-value 0.879 (0.835 to 0.924)."
     )
     alike = Regime("slide", "starts", ("slide",), 5, 5, Estimate(1.0, 0.57, 1.0), Place.key("v", "1"))
-    assert sentence(alike) == "At v = 1, all 5 starts (at least 57%) slide."
+    assert sentence(alike) == "At v = 1, all 5 starts (lower bound 57%) slide."
     some = replace(alike, predicates=("slide", "stick", "stop"), n=4, share=Estimate(0.8, 0.38, 0.96))
     assert sentence(some) == "At v = 1, 80% (38 to 96%) of 5 starts slide; the others stick or stop."
     assert sentence(replace(some, n=2, of=3, share=Estimate(2 / 3))) == (

@@ -140,9 +140,13 @@ def test_coupling_makes_the_planted_part_of_the_excess(planted, rng):
     )
     row, shifted = coupled.tables["law"].iloc[0], found(coupled, "gamma", cascades.SHIFTED)
     assert verdict(shifted) is Verdict.MORE
-    words = r"The decay rate is .*% \(.*%\) more than for time-shifted blocks[;.] [Ii]t is .* two-state blocks\."
-    assert re.fullmatch(words, sentence(coupled.findings[1]))
-    assert [level.comparison.other for level in levels(coupled.findings[1])] == [cascades.SHIFTED, cascades.TWO_STATE]
+    effects = coupled.findings[1]
+    assert re.match(r"Coupling raises the decay rate by [\d.]+% \(", sentence(effects))
+    assert sum(level.estimate.value for level in effects.parts) == pytest.approx(effects.whole.estimate.value)
+    finite_size, own_dynamics, _ = (level.estimate for level in effects.parts)
+    assert finite_size.value == pytest.approx(pool.gamma(20, 6.0) / np.log(2.0) - 1.0, abs=0.01)
+    assert own_dynamics.value == pytest.approx(0.0, abs=0.03), "blocks without memory"
+    assert sentence(alone.findings[1]).startswith("No effect of coupling on the decay rate is shown")
     assert row["gamma_pool"] == pytest.approx(pool.gamma(20, 6.0), abs=0.01)
     assert alone.tables["law"]["over_shifted"][0] == pytest.approx(0.0, abs=0.02)
 
@@ -224,19 +228,19 @@ def test_settings_beside_the_lead_are_levels_with_their_setting(planted, rng):
 
 
 def test_the_rate_by_another_engine_stands_beside_that_of_the_exact_law(planted, settings):
-    """After the nulls, as the page of changes judges it; the margin of the scene says when both agree."""
+    """As the page of changes judges it; the margin of the scene says when both agree."""
     study = Study(Data(*planted.ensemble({"coulomb": 0.7, "sigmoid": 0.5}, 8)), settings)
-    law, _, other, *_ = cascades.answer(study).findings
+    law, other, *_ = cascades.answer(study).findings
     assert law.parameter.where == Place((("n", "200"), ("", "exact")))
-    assert (other.comparison.other, other.comparison.difference.verdict) == ("exact", Verdict.LESS)
+    assert (other.comparison.other, other.comparison.difference.verdict) == ("the exact law", Verdict.LESS)
     (step,) = between_engines(study, "gamma")
     assert other.comparison.difference == step.contrast.difference
-    assert re.search(r"sigmoid, .*, the decay rate is [\d.]+% \(.*\) less than for exact\.$", sentence(other))
+    assert re.search(r"sigmoid, .*, the decay rate is [\d.]+% \(.*\) less than for the exact law\.$", sentence(other))
     study = Study(
         Data(*planted.ensemble({"coulomb": 0.7, "sigmoid": 0.71}, 8)),
         dataclasses.replace(settings, margins={"gamma": 0.2}),
     )
-    assert cascades.answer(study).findings[2].comparison.difference.verdict is Verdict.EQUAL
+    assert cascades.answer(study).findings[1].comparison.difference.verdict is Verdict.EQUAL
 
 
 # ------------------------------------------------------------------------------------------- estimates

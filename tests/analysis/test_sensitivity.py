@@ -58,7 +58,7 @@ def test_what_was_not_measured_is_not_said_to_be_unknown(rng, planted, settings)
     parted, rate = answer(Study(Data(changed, data.series), settings)).findings
     assert (parted.estimate.value, rate.reason) == (1.0, Reason.NOT_RUN)
     assert sentence(parted) == (
-        "At n = 200, exact, with constants changed by up to 1%, all 12 copies (at least 76%) are still together"
+        "At n = 200, exact, with constants changed by up to 1%, all 12 copies (lower bound 76%) are still together"
         " at t = 1000."
     )
     settled = answer(Study(Data(changed.assign(outcome="collapsed"), data.series), settings)).findings
@@ -162,7 +162,7 @@ def test_runs_that_ran_away_are_watched_until_then(rng, planted, settings):
     members = apart.members
     members.loc[away, ["outcome", "t_stop"]] = ["diverged", 300.0]
     parted = answer(Study(replace(apart, table=members), settings)).findings[1]
-    assert sentence(parted).startswith("All 8 copies (at least 68%) are still together at t = 1000.")
+    assert sentence(parted).startswith("All 8 copies (lower bound 68%) are still together at t = 1000.")
     members.loc[members["twin_size"].notna(), ["outcome", "t_stop"]] = ["diverged", 300.0]
     assert answer(Study(replace(apart, table=members), settings)).findings[-1].reason is Reason.NO_REFERENCE
 

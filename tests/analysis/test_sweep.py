@@ -113,7 +113,7 @@ def test_a_share_that_is_nowhere_else_than_at_both_ends_has_a_minimum_between(sw
     data = ended(data, (at == -0.2) | (at == -0.3), "collapsed")
     change = next(finding for finding in changes_of(Study(data, settings)).findings if isinstance(finding, Changed))
     assert [str(turn.near) for turn in change.turns] == ["|belt_speed| = 0.3 to 0.2"]
-    assert "near |belt_speed| = 0.3 to 0.2. It falls from 100% and rises to 100%" in sentence(change)
+    assert "near |belt_speed| = 0.3 to 0.2. It falls from 100.0% and rises to 100.0%" in sentence(change)
 
 
 @pytest.mark.parametrize(("n_late", "n_turns", "second"), [(18, 1, "-0.1"), (6, 0, "-0.2")])

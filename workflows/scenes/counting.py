@@ -43,6 +43,7 @@ from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, noun
 from stickslip.analysis.models import pool
 from stickslip.analysis.models.motion import lulls
+from stickslip.analysis.questions.slips.cascades import EFFECTS, EXCESS
 from stickslip.analysis.series import nulls
 from stickslip.analysis.series.cascades import EVENTS, Window, sums
 from stickslip.analysis.series.nulls import BlockSteps
@@ -60,16 +61,10 @@ from stickslip.analysis.stats.estimates import (
 )
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, bars, forest, panel
 
-EXCESS, VARIANCE, SCALED = r"$\gamma/\ln 2-1$", "$nq(1-q)$", r"$nq(1-q)\,(\gamma/\ln 2-1)$"  # on the axes
+OVER_COIN, VARIANCE, SCALED = r"$\gamma/\ln 2-1$", "$nq(1-q)$", r"$nq(1-q)\,(\gamma/\ln 2-1)$"  # on the axes
 #: Largest number of times that a run's blocks are shifted: their rate is known that much better than the run's.
 SHIFTS = 30
 WHAT = "the parts of the decay rate"
-WHOLE = Quantity("excess", "excess of the decay rate over ln 2", Form.SHARE)
-PARTS = (
-    Quantity("finite_size", "finite size", Form.SHARE),
-    Quantity("own_dynamics", "each block's own dynamics", Form.SHARE),
-    Quantity("coupling", "coupling", Form.SHARE),
-)
 RISE = Quantity("rise", "increase of the probability of a slip onset per sticking block", Form.SHARE)
 
 #: Columns of `run_sums`, a numerator and a denominator each: total size and number of cascades of the run, the same
@@ -168,7 +163,7 @@ def _where(counts: Counted, is_swept: bool) -> Place:
 def _parts(counts: Counted, is_swept: bool, unit: str) -> Parts:
     where, basis = _where(counts, is_swept), Basis(len(counts.rows), unit)
     total, *levels = (
-        Level(quantity, counts.estimates[quantity.key], where, basis=basis) for quantity in (WHOLE, *PARTS)
+        Level(quantity, counts.estimates[quantity.key], where, basis=basis) for quantity in (EXCESS, *EFFECTS)
     )
     return Parts(total, tuple(levels), counts.estimates["time_shifted"], "decay rate")
 
@@ -326,7 +321,7 @@ def by_number(axes: Sequence[Axes], groups: Sequence[Counted]) -> None:
             number, place, xycoords=("data", "axes fraction"), ha="center", va="top", fontsize=6.5, color=GREY
         )
     top.yaxis.set_major_formatter(PercentFormatter(1.0))
-    top.set(ylabel=EXCESS)
+    top.set(ylabel=OVER_COIN)
     below.set(xlabel=VARIANCE, ylabel=SCALED)
     handles, names = below.get_legend_handles_labels()
     below.figure.legend(handles, names, loc="outside upper center", ncols=2, columnspacing=1.0)

@@ -27,7 +27,7 @@ from stickslip.analysis.outcomes import DIFFERENT, forest, in_words, outcomes
 from stickslip.analysis.stats.estimates import UnitSums
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.steps import Kind, Setting, Step, few, judged_together, table_of
-from stickslip.pipeline.design.labels import engine_name
+from stickslip.pipeline.design.labels import engine_name, engine_noun
 from stickslip.pipeline.design.values import text
 
 #: What is set beside a reference, of each kind.
@@ -136,8 +136,9 @@ def _other(pair: _Pair, groups: Sequence[Group]) -> str:
         return "the tightest tolerance"
     if pair.kind is Kind.THRESHOLD and pair.reference is pair.group:
         return "its own definition of sticking"
-    (name,) = in_words({_engine(pair.reference, groups): DIFFERENT}, DIFFERENT)
-    return name
+    setting, name = _engine(pair.reference, groups), pair.reference.key["engine"]
+    (words,) = in_words({setting: DIFFERENT}, DIFFERENT)
+    return engine_noun(name) if words == engine_name(name) else words
 
 
 def _setting(pair: _Pair, groups: Sequence[Group]) -> Setting:

@@ -78,7 +78,7 @@ def pictures(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> dict[st
             figures |= _maps(grid, study.settings.units)
         elif len(settings) > 1:
             counts = {kind: [setting.runs.n_of(kind) for setting in settings] for kind in OUTCOMES}
-            caption = "Shares of runs by what they do at the end; in a bar of one colour all do the same."
+            caption = "Shares of runs by what they do at the end."
             key, values = _names(grid, settings)
             figures["fates"] = Picture(
                 partial(shares, study.settings.units.label_of_key(key), values, counts), caption

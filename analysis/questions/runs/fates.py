@@ -64,7 +64,7 @@ from stickslip.analysis.rows import frame_of
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.stats.survival import Curve, median_of_known
-from stickslip.pipeline.design.labels import engine_name
+from stickslip.pipeline.design.labels import engine_noun
 
 MOST_LINES = 12  # along a key, and settings with shares of their own
 MOST_OPEN = 0.1  # of runs that may be undecided without an alert
@@ -305,7 +305,7 @@ def _delays(study: Study) -> Iterator[Level]:
             delays = (_last_events(method) - reference_times).dropna().to_numpy()
             if len(delays):
                 delay = median_of_known(delays, study.settings.confidence)
-                beside, basis = Comparison(engine_name(reference.key["engine"])), Basis(len(delays), noun(study.unit))
+                beside, basis = Comparison(engine_noun(reference.key["engine"])), Basis(len(delays), noun(study.unit))
                 quantity = replace(DELAY, name=DELAY.name.format(basis.unit))
                 yield Level(quantity, delay, where[method.label], beside, basis)
 

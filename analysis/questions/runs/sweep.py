@@ -274,11 +274,14 @@ def _differ(common: _Common) -> bool:
 
 
 def _order(grid: Grid, steps: Sequence[Step]) -> list[str]:
-    """Measures in order: the share that sticks late first if it changes, and last what is the same everywhere."""
+    """Measures in order: what is recorded, the share that sticks late if it changes, others, what is the same."""
     varied = {step.statistic for step in steps if not step.contrast.is_same}
     names = sorted((measure.name for measure in grid.asked), key=lambda name: name not in varied)
-    is_moved = any(step.statistic == STICKING and step.contrast.is_shown for step in steps)
-    return [STICKING, *names] if is_moved else [*names, STICKING]
+    if not any(step.statistic == STICKING and step.contrast.is_shown for step in steps):
+        return [*names, STICKING]
+    recorded = {measure.name for measure in grid.asked if measure.is_recorded} & varied
+    first = names[:1] if names[0] in recorded else []
+    return [*first, STICKING, *names[len(first) :]]
 
 
 def _lead(

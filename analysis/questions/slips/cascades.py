@@ -26,6 +26,7 @@ from stickslip.analysis.findings.finding import (
     Lack,
     Law,
     Level,
+    Parts,
     Quantity,
     Reason,
 )
@@ -48,7 +49,7 @@ from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefin
 from stickslip.analysis.stats.families import EXPONENTIAL, POWER_LAW, log_shares, maximise
 from stickslip.analysis.stats.shares import mean_within
 from stickslip.analysis.style import forest
-from stickslip.pipeline.design.labels import Label, apart, engine_name
+from stickslip.pipeline.design.labels import Label, apart, engine_noun
 
 SHIFTS = 30  # most draws of a run's blocks shifted in time, whose rate is then known better than the run's
 PARTS = 10  # of a run, whose scatter gives the interval of its system
@@ -59,6 +60,12 @@ RATE = Quantity(
     "gamma", "decay rate of cascade sizes", definition="γ of f ∝ exp(−γ s), the share of cascades of s blocks"
 )
 BESIDE = replace(RATE, clause="the decay rate is {}")  # said after the law, which has its value
+EXCESS = Quantity("excess", "excess of the decay rate over ln 2", Form.SHARE)
+EFFECTS = (
+    Quantity("finite_size", "finite size", Form.SHARE),
+    Quantity("own_dynamics", "each block's own dynamics", Form.SHARE),
+    Quantity("coupling", "coupling", Form.SHARE),
+)
 VARIANCE = Quantity("variance", "variance of cascade sizes")
 
 
@@ -300,15 +307,38 @@ def _findings(study: Study, sums: Sums, where: Place) -> list[Finding]:
     """The law of a group, its decay rate beside other blocks', and how far it is from geometric."""
     level = study.settings.confidence
     rate, *further = _rates(study, sums, where)
-    geometric = Comparison(GEOMETRIC, Difference(sums.estimate(over_geometric, level)))
+    beside_geometric = sums.estimate(over_geometric, level)
+    geometric = Comparison(GEOMETRIC, Difference(beside_geometric))
     departure = Level(VARIANCE, sums.estimate(variance, level), where, geometric, rate.basis)
-    fit = fit_of(gain(sums, level))
+    fit = fit_of(gain(sums, level), beside_geometric)
     law = Law("cascade sizes", "fall off geometrically", rate, fit, departure, "fall off nearly geometrically",
               called="decay rate")  # fmt: skip
     methods = _beside_others(study, sums)
-    comparisons = tuple(null.comparison for null in further[1:] if null.comparison is not None)
-    nulls = [replace(null, also=comparisons) for null in further[:1]]
-    return [law, *nulls, *methods[:1], departure, *methods[1:]]
+    effects = [_effects(study, sums, where)] if len(further) == len(EFFECTS) - 1 else []
+    return [law, *effects, *methods[:1], *further, departure, *methods[1:]]
+
+
+def _effects(study: Study, sums: Sums, where: Place) -> Parts:
+    """What sets the decay rate apart from ln 2, as `_method` says, relative to that."""
+    level, basis = study.settings.confidence, Basis(len(sums.rows), noun(study.unit))
+
+    def finite_size(rows: np.ndarray) -> np.ndarray:
+        return of_pool(sums.n, rows) / LN2 - 1
+
+    def independent(rows: np.ndarray) -> np.ndarray:
+        return gamma_shifted(rows) / LN2 - 1
+
+    statistics: tuple[Statistic, ...] = (
+        over_coin,
+        finite_size,
+        lambda rows: independent(rows) - finite_size(rows),
+        lambda rows: over_coin(rows) - independent(rows),
+    )
+    excess, *effects = (
+        Level(quantity, sums.estimate(statistic, level), where, basis=basis)
+        for quantity, statistic in zip((EXCESS, *EFFECTS), statistics, strict=True)
+    )
+    return Parts(excess, tuple(effects), sums.estimate(independent, level), "decay rate")
 
 
 def _beside_others(study: Study, sums: Sums) -> list[Level]:
@@ -316,16 +346,21 @@ def _beside_others(study: Study, sums: Sums) -> list[Level]:
     label, where, unit = sums.group.label, places(study), noun(study.unit)
     steps = [step for step in between_engines(study, "gamma") if step.reference == label and sums.smallest == 1]
     steps.sort(key=lambda step: step.contrast.weight, reverse=True)
-    name = engine_name(sums.group.key["engine"])
+    name = engine_noun(sums.group.key["engine"])
     levels = (step.contrast.level(where[step.setting], name, unit) for step in steps)
     return [replace(level, quantity=BESIDE) for level in levels]
 
 
-def fit_of(gain: Estimate) -> Fit:
-    """Whether sizes are nearer to a geometric law than to a power law: by their likelihood."""
-    if gain.low is None or gain.high is None or gain.low <= 0.0 <= gain.high:
-        return Fit.OPEN
-    return Fit.FAILS if gain.high < 0.0 else Fit.CLOSE
+def fit_of(gain: Estimate, departure: Estimate) -> Fit:
+    """Whether sizes are nearer to a geometric law than to a power law, by their likelihood.
+
+    Where that cannot be told, the law fails if it is shown that they do not vary as it says.
+    """
+    if gain.low is not None and gain.low > 0.0:
+        return Fit.CLOSE
+    is_power_law = gain.high is not None and gain.high < 0.0
+    departs = departure.low is not None and departure.high is not None and departure.low * departure.high > 0.0
+    return Fit.FAILS if is_power_law or departs else Fit.OPEN
 
 
 def of_systems(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

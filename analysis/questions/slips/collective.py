@@ -106,10 +106,10 @@ def _law(motion: Slow, where: Place, unit: str, is_missed: bool) -> Law:
         _level(quantity, key, motion, where, unit, is_missed)
         for quantity, key in ((PERIOD, Number.PERIOD), (SHARE, Number.SHARE))
     )
-    damped = f"move together slowly, {'strongly ' * ((quality.high or pi) < pi)}damped"
+    damped = "move together slowly" + ", in a broad peak" * ((quality.high or pi) < pi)
     fit, called = (Fit.CLOSE, "period of the fit") if is_missed else (Fit.HOLDS, f"{_q(motion)}, natural period")
     nearly = "move together slowly, but not as a damped oscillator"
-    return Law("blocks", damped, period, fit, deviance, nearly, called, share, "the variance")
+    return Law("blocks", damped, period, fit, deviance, nearly, called, share, "the variance of the number sticking")
 
 
 def _level(quantity: Quantity, key: Number, motion: Slow, where: Place, unit: str, is_missed: bool) -> Level:

@@ -333,11 +333,11 @@ def _beside(pair: Apart, unit: str) -> Level | None:
     if pair.name in (RATE, SIZE, DURATION, SLIP):
         return _level(pair.setting, pair.name, [pair], unit)
     if pair.name == ONSETS and isinstance(pair.found, Contrast):
-        return pair.step.contrast.level(Place.of(pair.setting.method), pair.reference.method, unit)
+        return pair.step.contrast.level(Place.of(pair.setting.method), pair.reference.noun, unit)
     if isinstance(pair.found, LawDifference):
         where = Place.of(pair.setting.method)
         n_both = len(pair.setting.runs.keys() & pair.reference.runs.keys())
-        return Level(APART, pair.found.size, where, Comparison(pair.reference.method), Basis(n_both, unit))
+        return Level(APART, pair.found.size, where, Comparison(pair.reference.noun), Basis(n_both, unit))
     return None
 
 
@@ -374,12 +374,14 @@ def _outcomes(
             continue
         level, setting = _beside(apart_most, unit), by_id[id(apart_most.setting)]
         (in_short,) = in_words({setting: ""}, "")
-        words, method = in_words(come_out, name), reference.method
+        words, method = in_words(come_out, name), reference.noun
         further = in_words(come_out | {setting: "-"}, name)
         has_onsets = all(group.group.has_onsets for setting, group in settings.items() if come_out[setting] == name)
         outcome = Outcomes(method, undecided=words, scope=_SCOPE + _AND_ONSETS * has_onsets)
         if name:
-            outcome = Outcomes(method, different=words, others=further)
+            alike = [pair for pair in apart if id(pair.setting) in by_id and pair.name == name and pair.law is None]
+            sizes = [pair.step.contrast.difference for pair in alike if pair is not apart_most and pair.is_shown]
+            outcome = Outcomes(method, different=words, others=further, second=sizes[0] if len(sizes) == 1 else None)
         outcomes.append(replace(outcome, largest=level, at_largest=in_short))
     return outcomes
 

@@ -27,12 +27,13 @@ class Amplitude(StateRecord):
         _length(
             "amplitude",
             "half of peak to peak of z after t_burn, the largest of the blocks",
+            title="amplitude of the block that swings most",
             note="null if the run ended before",
         ),
         _length(
             "amplitude_mean",
             "half of peak to peak of z after t_burn, mean over the blocks",
-            title="amplitude over the blocks",
+            title="amplitude averaged over the blocks",
         ),
     )
     of_block = _length(

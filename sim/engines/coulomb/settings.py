@@ -76,6 +76,7 @@ class Coulomb(Engine):
 
     name = "coulomb"
     title = "exact"
+    noun = "the exact law"
     about = "Coulomb's set-valued law, followed from event to event."
     kernels = "stickslip.sim.engines.coulomb"
     keeps_stills = True
