@@ -13,7 +13,7 @@ import pandas as pd
 
 from stickslip.analysis import arguments
 from stickslip.analysis.groups import Group, fill, groups
-from stickslip.analysis.members import Members, Proofs, force_period, known_outcomes, may_be_proved
+from stickslip.analysis.members import Members, Proofs, known_outcomes, may_be_proved
 from stickslip.analysis.models.fates import DIVERGED, FAILED
 from stickslip.analysis.models.motion import Motion, joined, motion
 from stickslip.analysis.models.times import Times
@@ -224,8 +224,7 @@ class Study:
         table = self.data.table
         columns = pd.DataFrame({name: table.own[name].iloc[rows] for name in _ENDS if name in table.own})
         settings = columns["setting"].to_numpy()
-        n, t_end = (np.array([setting[name] for setting in table.settings])[settings] for name in ("n", "t_end"))
-        period = np.array([force_period(setting) for setting in table.settings])[settings]
+        n, t_end, period = (column[settings] for column in table.windows)
         t_stop, rates = (columns[name].to_numpy(np.float64, na_value=np.nan) for name in ("t_stop", "growth_rate"))
         names, outcomes = (column.to_numpy(object) for column in (columns["member_id"], known_outcomes(columns)))
         return Ended(rows, names, columns["unit"].to_numpy(), outcomes, t_end, t_stop, rates, n, period)
