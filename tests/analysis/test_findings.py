@@ -211,6 +211,8 @@ def test_sentences():
     assert sentence(Alike(period, 3.50812, "from all 8 starts")) == (
         "Period of the cycle: 3.508, the same from all 8 starts."
     )
+    time = Quantity("stick_share", "mean share of time")
+    assert sentence(Level(time, Estimate(0.0, 0.0, 0.0), basis=Basis(8))) == "Mean share of time: 0 in all 8 systems."
     assert sentence(Decided(Truth.NO, basin)) == f"No: {sentence(basin)}"
 
 
