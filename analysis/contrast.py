@@ -40,7 +40,7 @@ from stickslip.analysis.stats.compare import (
 from stickslip.analysis.stats.enough import FEW_MATRICES, LEAST_MATRICES
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums, over_matrices, ratio, within
 from stickslip.analysis.stats.multiplicity import together
-from stickslip.analysis.stats.shares import mean_within
+from stickslip.analysis.stats.shares import mean_share, mean_within
 
 _NO_VALUE = Estimate()
 
@@ -96,7 +96,7 @@ class Statistic:
 
 @dataclass(frozen=True)
 class Bounded(Statistic):
-    """The mean of what lies between 0 and `most`, as a share of blocks or of time; intervals as of shares."""
+    """The mean of what lies between 0 and `most`; intervals as of shares."""
 
     most: float = 1.0
     is_counted: ClassVar[bool] = False
@@ -108,6 +108,14 @@ class Bounded(Statistic):
         if is_relative:
             return bounded_ratio(first.rows, second.rows, paired, self.most)
         return bounded_difference(first.rows, second.rows, paired, self.most, self.is_counted)
+
+
+@dataclass(frozen=True)
+class MeanShare(Bounded):
+    """The mean of a share of blocks or of time."""
+
+    def estimate(self, sums: UnitSums, confidence: float) -> Estimate:
+        return mean_share(sums.rows, self.most, confidence)
 
 
 @dataclass(frozen=True)

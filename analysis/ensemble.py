@@ -13,7 +13,7 @@ import pandas as pd
 
 from stickslip.analysis import arguments
 from stickslip.analysis.groups import Group, fill, groups
-from stickslip.analysis.members import Members, Proofs, force_period, known_outcomes, may_be_proved
+from stickslip.analysis.members import Members, Proofs, known_outcomes, may_be_proved
 from stickslip.analysis.models.fates import DIVERGED, FAILED
 from stickslip.analysis.models.motion import Motion, joined, motion
 from stickslip.analysis.models.times import Times
@@ -24,7 +24,7 @@ from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio, within
 from stickslip.analysis.stats.quantities import QUANTITIES
-from stickslip.analysis.stats.shares import mean_within, share_over_matrices
+from stickslip.analysis.stats.shares import mean_share, mean_within, share_over_matrices
 from stickslip.sim.numerics.arguments import apart, did_you_mean
 from stickslip.sim.runs.run import Samples
 from stickslip.sim.runs.series import EventSeries
@@ -224,8 +224,7 @@ class Study:
         table = self.data.table
         columns = pd.DataFrame({name: table.own[name].iloc[rows] for name in _ENDS if name in table.own})
         settings = columns["setting"].to_numpy()
-        n, t_end = (np.array([setting[name] for setting in table.settings])[settings] for name in ("n", "t_end"))
-        period = np.array([force_period(setting) for setting in table.settings])[settings]
+        n, t_end, period = (column[settings] for column in table.windows)
         t_stop, rates = (columns[name].to_numpy(np.float64, na_value=np.nan) for name in ("t_stop", "growth_rate"))
         names, outcomes = (column.to_numpy(object) for column in (columns["member_id"], known_outcomes(columns)))
         return Ended(rows, names, columns["unit"].to_numpy(), outcomes, t_end, t_stop, rates, n, period)
@@ -366,12 +365,13 @@ class Study:
         least : float, optional
             What numbers given by member_id are never below: nor is the interval then. Of a column it is known.
         most : float, optional
-            What numbers from 0 on are never above, 1 for a share: the interval is then Wilson's. Of a column too.
+            What numbers from 0 on are never above, 1 for a share of time: see `stats.shares.mean_share`. Of a
+            column too.
 
         Returns
         -------
         Estimate
-            By `stats.estimates.over_matrices`, or `stats.shares.mean_within`; without an interval, and with the
+            By `stats.estimates.over_matrices`, or `stats.shares.mean_share`; without an interval, and with the
             reason, for fewer than two units; without a value for none. Of a column of truths it is their share, as
             `share`.
 
@@ -396,7 +396,7 @@ class Study:
             column = Numbers.of(self.data.table, numbers).column
         rows = group.sums_of(column).rows
         if most is not None:
-            return mean_within(rows, most, self.settings.confidence)
+            return mean_share(rows, most, self.settings.confidence)
         return within(over_matrices(ratio, rows, self.settings.confidence), least)
 
     def _recorded(self, argument: str, name: str) -> Recorded:

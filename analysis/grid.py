@@ -89,7 +89,7 @@ def points_at(points: Iterable[Point], axis: Axis, value: KeyValues) -> list[Poi
 
 
 @dataclass(frozen=True)
-class Grid:
+class Sweep:
     """What a sweep has: its axes, the points of each setting along them, and what is measured there.
 
     Attributes
@@ -106,7 +106,7 @@ class Grid:
     confidence: float
 
     @classmethod
-    def of(cls, study: Study) -> Grid:
+    def of(cls, study: Study) -> Sweep:
         """That of a study."""
         axes, measured = axes_of(study.groups), measures(study)
         points = {

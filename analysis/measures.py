@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from stickslip.analysis.catalogues import Catalogues, read
-from stickslip.analysis.contrast import Bounded, Median, PerEvent, Share, Statistic
+from stickslip.analysis.contrast import Bounded, MeanShare, Median, PerEvent, Share, Statistic
 from stickslip.analysis.ensemble import Recorded, Study
 from stickslip.analysis.findings.finding import Reason
 from stickslip.analysis.findings.numbers import signs
@@ -226,7 +226,7 @@ def _of_column(name: str, column: Recorded, numbers: np.ndarray, t_burn: float) 
     mean = Statistic(f"mean {name}", ratio, least=column.least, title=title, definition=definition)
     mean = replace(mean, dimension=column.dimension)
     if column.most is not None:
-        mean = Bounded(f"mean {name}", ratio, most=column.most, title=title, definition=definition)
+        mean = MeanShare(f"mean {name}", ratio, most=column.most, title=title, definition=definition)
     return Measure(mean, name, partial(_of_gaps, values, t_burn) if column.of_gaps else values, column.absent)
 
 

@@ -124,6 +124,13 @@ class Members:
         """The row of each member, by member_id."""
         return {name: k for k, name in enumerate(self.own["member_id"])}
 
+    @cached_property
+    def windows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The number of blocks, the end and the period of the force of the runs of each setting, shape (S,) each."""
+        columns = zip(*((key["n"], key["t_end"], force_period(key)) for key in self.settings), strict=True)
+        n, t_end, period = map(np.array, columns)
+        return n, t_end, period
+
     def at(self, rows: np.ndarray) -> Members:
         """Some of them, by their rows, whose numbers they keep."""
         return replace(self, own=self.own.iloc[rows])

@@ -14,7 +14,7 @@ from stickslip.analysis.models.episodes import DURATION, QUANTITIES, RATE, SIZE,
 from stickslip.analysis.models.largest_gap import Difference, largest_gap
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.multiplicity import holm
-from stickslip.analysis.steps import Kind, Setting, Step
+from stickslip.analysis.steps import Kind, Step, Variant
 from stickslip.pipeline.design.labels import Label, Part, engine_name
 from stickslip.pipeline.design.labels import apart as labels_apart
 
@@ -114,20 +114,20 @@ def _of_magnitudes(study: Study, first: Catalogues, second: Catalogues) -> Diffe
         return str(why)
 
 
-def settings_of(groups: Sequence[Catalogues]) -> list[Setting]:
+def settings_of(groups: Sequence[Catalogues]) -> list[Variant]:
     """Methods by engine and the number that it is set by, so that ranges of it can be named."""
     shared = set.intersection(*(set(group.method.parts) for group in groups))
     return [_setting(group.method, shared) for group in groups]
 
 
-def _setting(method: Label, shared: Collection[Part]) -> Setting:
+def _setting(method: Label, shared: Collection[Part]) -> Variant:
     """A method, without what it shares with all others but its engine and the number that it is set by."""
     numbers = [piece for piece in method.parts if piece[0] in (*WIDTHS, *STEPS)]
     symbols = [piece for piece in method.parts if piece not in numbers and (not piece[0] or piece not in shared)]
     if len(numbers) != 1:
-        return Setting(method)
+        return Variant(method)
     ((symbol, value),) = numbers
-    return Setting(Label.of(symbols), symbol, float(value))
+    return Variant(Label.of(symbols), symbol, float(value))
 
 
 def names(groups: Sequence[Catalogues]) -> list[Label]:

@@ -20,7 +20,7 @@ from stickslip.analysis.findings.finding import Form, Outcomes, Scale, Verdict
 from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.stats.estimates import with_ends
-from stickslip.analysis.steps import Kind, Setting, Step
+from stickslip.analysis.steps import Kind, Step, Variant
 from stickslip.analysis.style import GREY, HUES, hues, panel
 
 EQUAL, DIFFERENT, UNDECIDED = "equal", "different", "undecided"
@@ -86,7 +86,7 @@ def _size(step: Step) -> tuple[bool, bool, bool, float]:
     return contrast.is_shown, contrast.has_margin, has_interval, size
 
 
-def in_words(by_setting: Mapping[Setting, str], name: str) -> tuple[str, ...]:
+def in_words(by_setting: Mapping[Variant, str], name: str) -> tuple[str, ...]:
     """The settings with an outcome; of settings that differ in one number, ranges of it."""
     words: list[str] = []
     for _, alike in groupby(by_setting, key=lambda setting: (setting.name, setting.symbol)):
@@ -94,7 +94,7 @@ def in_words(by_setting: Mapping[Setting, str], name: str) -> tuple[str, ...]:
     return tuple(words)
 
 
-def _ranges(settings: Sequence[tuple[Setting, bool]]) -> Iterator[str]:
+def _ranges(settings: Sequence[tuple[Variant, bool]]) -> Iterator[str]:
     """Of settings with ascending values, the ranges of those that are wanted."""
     start = 0
     for is_wanted, run in groupby(settings, key=lambda pair: pair[1]):

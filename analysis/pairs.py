@@ -51,7 +51,7 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class Setting:
+class PairSet:
     """Members that differ in matrix and change only: `bases`, the row of one a matrix, and comparisons with them."""
 
     label: Label
@@ -86,7 +86,7 @@ class Followed:
         return ~np.isnan(self.t)
 
 
-def level(study: Study, setting: Setting) -> float | None:
+def level(study: Study, setting: PairSet) -> float | None:
     """Mean |n_stick difference| of two different matrices after t_burn (`parting.level`), however their runs end.
 
     None if it is zero, or if most runs slip for good or are quiet, since it then vanishes with time.
@@ -137,7 +137,7 @@ def _parted_at(level: float, t_end: float, runs: Runs, changed: Ended, base: End
     return times
 
 
-def settings(members: Members) -> list[Setting]:
+def settings(members: Members) -> list[PairSet]:
     """Settings of an ensemble, each with the comparisons of changed members with their bases.
 
     A base is unchanged. For the sigmoid it has equal stiffness ratios or, if no member has, the first draw of the
@@ -146,7 +146,7 @@ def settings(members: Members) -> list[Setting]:
 
     Returns
     -------
-    list of Setting
+    list of PairSet
         Sorted by n and engine; settings without an unchanged member are left out. None at all if no member is
         changed.
     """
@@ -165,7 +165,7 @@ def settings(members: Members) -> list[Setting]:
     names = labels(keys)
     number = members.own["setting"].to_numpy()
     all_settings = [
-        Setting(name, key, *_compared(members, np.flatnonzero(np.isin(number, alike))))
+        PairSet(name, key, *_compared(members, np.flatnonzero(np.isin(number, alike))))
         for name, key, alike in zip(names, keys, numbers.values(), strict=True)
     ]
     with_bases = [setting for setting in all_settings if setting.bases]

@@ -34,7 +34,7 @@ class Kind(StrEnum):
     DATASET = "dataset"
 
 
-class Setting(NamedTuple):
+class Variant(NamedTuple):
     """What is set beside a reference.
 
     Attributes
@@ -59,7 +59,7 @@ class Setting(NamedTuple):
         return "" if self.value is None else f"{text(self.value)}{self.suffix}"
 
 
-_NO_NAME = Setting("")
+_NO_NAME = Variant("")
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Step:
         What both differ in, as far as the settings do not say it.
     where : Place
         What tells the second from others.
-    name : Setting
+    name : Variant
         What is set beside the reference, in a list of outcomes.
     turns : tuple of Turn
         Along a key, where the statistic is shown to turn before.
@@ -86,7 +86,7 @@ class Step:
     contrast: Contrast
     keys: tuple[KeyChange, ...] = ()
     where: Place = EVERYWHERE
-    name: Setting = _NO_NAME
+    name: Variant = _NO_NAME
     turns: tuple[Turn, ...] = ()
 
     @property

@@ -136,8 +136,9 @@ class Dataset:
         -------
         DataFrame
             question, leads (whether it stands on the first screen), sentence, quantity, setting, estimate, low, high,
-            compared_with, difference, difference_low, difference_high, scale ("relative" to what it is compared with,
-            or "absolute"), margin, verdict, n and unit (of the independent units); null where there is none.
+            compared_with, compared_value, compared_low, compared_high (its own value, where no other row has that),
+            difference, difference_low, difference_high, scale ("relative" to it, or "absolute"), margin,
+            verdict, n and unit (of the independent units); null where there is none.
 
         Raises
         ------

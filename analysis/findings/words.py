@@ -215,6 +215,8 @@ def _amount(share: Estimate, n: int | None, things: str, basis: Basis | None = N
 def _level(level: Level, is_brief: bool = False) -> Clauses:
     quantity = level.quantity
     words = _value(quantity, level.estimate)
+    if level.basis is not None and level.basis.n > 1 and is_exact(level.estimate):
+        words = f"{words} in all {based_on(level.basis)}"
     if not quantity.clause:
         name = quantity.name + (f", {level.where}" if level.where else "")
         return _beside(f"{name}: {words}", level.comparison, quantity, is_brief)

@@ -26,8 +26,7 @@ import numpy as np
 from scipy import special
 
 from stickslip.analysis.series.nulls import BlockSteps
-from stickslip.analysis.stats import student
-from stickslip.analysis.stats.estimates import Estimate, jackknife_error
+from stickslip.analysis.stats.estimates import Estimate, jackknife_estimate
 
 QUALITIES = (0.2, 20.0)  # range of the fit
 LEAST_HARMONICS = 10  # in the band
@@ -297,9 +296,7 @@ def _values(fits: np.ndarray, span: float, variance: np.ndarray) -> dict[Number,
 def _estimate(values: np.ndarray, confidence: float, is_share: bool) -> Estimate:
     """A number with its interval on the log or logit scale; values from all matrices, and with each left out."""
     forth, back = (special.logit, special.expit) if is_share else (np.log, np.exp)
-    scaled = forth(values)
-    half = student.half_width(confidence, len(values) - 2) * jackknife_error(scaled[1:])
-    return Estimate(float(values[0]), float(back(scaled[0] - half)), float(back(scaled[0] + half)))
+    return jackknife_estimate(forth(values), confidence).under(back)
 
 
 def p_value(data: Spectra, rng: np.random.Generator) -> float:

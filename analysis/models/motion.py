@@ -153,6 +153,6 @@ def _sums(runs: Windows, period: np.ndarray, is_brief: bool, unit: float) -> np.
     put(("early", "late"), early_and_late(runs, period))
     tau = sums[:, COLUMNS["tau"]]
     active = runs.span - runs.total(lulls(runs, unit))
-    put(("stuck", "active"), np.column_stack([runs.means(2).mean(axis=1) * runs.span, active]))
+    put(("stuck", "active"), np.column_stack([runs.mean * runs.span, active]))
     put(("short",), ((tau == 0) | effective.is_short(runs, tau))[:, None])
     return sums

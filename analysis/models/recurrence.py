@@ -15,8 +15,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip.analysis.models.episodes import Catalogue
-from stickslip.analysis.stats import student
-from stickslip.analysis.stats.estimates import Estimate, Undefined, jackknife_error, over_matrices, ratio, within
+from stickslip.analysis.stats.estimates import Estimate, Undefined, jackknife_estimate, over_matrices, ratio, within
 from stickslip.analysis.stats.survival import risks
 
 HAZARD = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0)  # edges of bins of the time since the last large event
@@ -147,9 +146,7 @@ def _mean_and_cv(gaps: Sequence[_Gaps], span: float, confidence: float) -> tuple
         left = np.array([_moments(time[number != k], ended[number != k]) for k in range(len(full))])
     except Undefined as why:
         return Estimate(reason=str(why)), Estimate(reason=str(why))
-    width = student.half_width(confidence, len(full) - 1)
-    halves = [width * jackknife_error(left[:, k]) for k in (0, 1)]
-    mean, cv = (Estimate(x, max(x - half, 0.0), x + half) for x, half in zip(values, halves, strict=True))
+    mean, cv = (within(jackknife_estimate(x, confidence), 0.0) for x in np.vstack([values, left]).T)
     return mean, cv
 
 

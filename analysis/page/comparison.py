@@ -23,7 +23,7 @@ from stickslip.analysis.page.layout import Page
 from stickslip.analysis.page.layout import Table as PageTable
 from stickslip.analysis.rows import frame_of
 from stickslip.analysis.settings import AnalysisSettings
-from stickslip.analysis.steps import Kind, Setting, Step, few, judged_together, table_of
+from stickslip.analysis.steps import Kind, Step, Variant, few, judged_together, table_of
 from stickslip.pipeline.design.values import text
 
 #: Keys that two settings must share: with another n or coupling, a statistic is not the same quantity.
@@ -120,7 +120,7 @@ def _steps(
     match: Match, measured: Sequence[tuple[Measure, Measure]], name: str, where: Place, confidence: float
 ) -> Iterator[Step]:
     """Each statistic of a setting beside that of its counterpart."""
-    setting = Setting(f"{name} ({where})" if where else name)
+    setting = Variant(f"{name} ({where})" if where else name)
     for mine, theirs in measured:
         reference, changed = mine.of(match.first), theirs.of(match.second)
         withheld = reference.withheld or changed.withheld
@@ -138,7 +138,7 @@ def _answer(first: str, second: str, steps: Sequence[Step], groups: Sequence[Gro
         return Answer(findings=[Decided(Truth.UNDECIDED, few(f"whether {first} and {second} agree", groups))])
     grouped = judged
     if len({*map(outcome, by_key(judged, lambda step: step.name).values())}) == 1:  # no setting to tell apart
-        grouped = [replace(step, name=Setting(second)) for step in judged]
+        grouped = [replace(step, name=Variant(second)) for step in judged]
     lead, *further = outcomes(first, grouped, unit, "setting")
     is_open = any(finding.undecided for finding in (lead, *further))
     truth = Truth.NO if lead.different else Truth.UNDECIDED if is_open else Truth.YES

@@ -170,6 +170,9 @@ class Row(NamedTuple):
     low: float | None = None
     high: float | None = None
     compared_with: str = ""
+    compared_value: float | None = None
+    compared_low: float | None = None
+    compared_high: float | None = None
     difference: float | None = None
     difference_low: float | None = None
     difference_high: float | None = None
@@ -184,19 +187,14 @@ class Row(NamedTuple):
 
 def row(level: Level) -> Row:
     """The value of a quantity as a row."""
-    estimate, comparison, basis = level.estimate, level.comparison, level.basis or Basis(0, "")
-    difference = level.difference
-    distance = Estimate() if difference is None else difference.estimate
+    comparison, difference, basis = level.comparison, level.difference, level.basis or Basis(0, "")
     return Row(
         level.quantity.name,
         str(level.where),
-        estimate.value,
-        estimate.low,
-        estimate.high,
+        *_ends(level.estimate),
         "" if comparison is None else comparison.other,
-        distance.value,
-        distance.low,
-        distance.high,
+        *_ends(None if comparison is None else comparison.value),
+        *_ends(None if difference is None else difference.estimate),
         "" if difference is None else difference.scale.value,
         None if difference is None else difference.margin,
         "" if difference is None else difference.verdict.value,
@@ -207,10 +205,17 @@ def row(level: Level) -> Row:
     )
 
 
+def _ends(estimate: Estimate | None) -> tuple[float | None, float | None, float | None]:
+    return (None, None, None) if estimate is None else (estimate.value, estimate.low, estimate.high)
+
+
 def _row(level: Level) -> dict[str, object]:
-    """A row as JSON has it; its unit only if it has one."""
+    """A row as JSON has it; its unit, and the value of what it is compared with, only if it has one."""
     values = row(level)._asdict()
-    return values if level.quantity.unit else {name: value for name, value in values.items() if name != "measured_in"}
+    return {name: value for name, value in values.items() if name not in _IF_KNOWN or value not in (None, "")}
+
+
+_IF_KNOWN = ("compared_value", "compared_low", "compared_high", "measured_in")
 
 
 def findings_json(title: str, lead: Sequence[str], parts: Sequence[Part]) -> dict[str, object]:

@@ -212,6 +212,12 @@ def jackknife_error(left_out: np.ndarray) -> float:
     return float(np.sqrt((n_rows - 1) / n_rows * np.sum((left_out - left_out.mean()) ** 2)))
 
 
+def jackknife_estimate(values: np.ndarray, confidence: float) -> Estimate:
+    """A number with its jackknife-t interval, from its values of shape (1 + G,): of all matrices, each left out."""
+    value, half = float(values[0]), student.half_width(confidence, len(values) - 2) * jackknife_error(values[1:])
+    return Estimate(value, value - half, value + half)
+
+
 def with_data(rows: np.ndarray) -> np.ndarray:
     """Rows of sums without those of zeros alone: a matrix in which nothing was counted is none of an ensemble."""
     return rows[rows.any(axis=1)]

@@ -24,8 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stickslip.analysis import arguments
-from stickslip.analysis.stats import student
-from stickslip.analysis.stats.estimates import Estimate, Undefined, jackknife_error
+from stickslip.analysis.stats.estimates import Estimate, Undefined, jackknife_estimate
 
 MOST_STEPS, EPS = 100, 1e-13  # steps of Newton's method, which takes about ten; its tolerance in nats a cascade
 
@@ -160,5 +159,4 @@ def parameter(fit: Fit, which: int, counts: np.ndarray, confidence: float) -> Es
         return Estimate(value, reason="one matrix" if n < 2 else "on its bound")
     remainder = counts.sum() - counts.sum(axis=1)
     shifts = -np.linalg.solve(fit.information(), fit.scores().T @ counts.T)[fit.free.index(which)] / remainder
-    half = student.half_width(confidence, n - 1) * jackknife_error(shifts)
-    return Estimate(value, value - half, value + half)
+    return jackknife_estimate(np.append(value, value + shifts), confidence)

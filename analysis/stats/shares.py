@@ -186,3 +186,13 @@ def mean_within(rows: np.ndarray, most: float, confidence: float, is_counted: bo
         return Estimate(most * proportion.share, reason="one matrix")
     low, high = proportion.ends(student.half_width(confidence, np.inf))
     return Estimate(most * proportion.share, most * low, most * high)
+
+
+def mean_share(rows: np.ndarray, most: float, confidence: float) -> Estimate:
+    """Mean over matrices of a share of blocks or of time, as `mean_within`; exact where all have nothing, or all.
+
+    Such a share is no count of yes and no: Wilson's interval would be of matrices that have it throughout, or never.
+    """
+    mean = mean_within(rows, most, confidence)
+    is_alike = mean.low is not None and mean.value in (0.0, most)
+    return Estimate(mean.value, mean.value, mean.value) if is_alike else mean

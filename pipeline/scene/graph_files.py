@@ -15,10 +15,10 @@ from stickslip.pipeline.scene.toml import MAX_BLOCKS
 from stickslip.sim.systems.graphs import adjacent_edges, edges_of, listed_edges
 
 _MATRICES = (b"PK", b"\x93NUMPY", b"%%MatrixMarket")
-#: A number that a comment in a text of edges carries, as `# rewiring = 0.1`.
-_NUMBER = re.compile(rb"^[ \t]*[#%][ \t]*(\w+)[ \t]*=[ \t]*([-+.\deE]+)[ \t]*\r?$", re.MULTILINE | re.ASCII)
+#: What a comment in a text of edges carries, as `# rewiring = 0.1`.
+_REMARK = re.compile(rb"^[ \t]*[#%][ \t]*(\w+)[ \t]*=[ \t]*(\S+)[ \t]*\r?$", re.MULTILINE | re.ASCII)
 #: A number in plain digits.
-_PLAIN = re.compile(r"[-+.\deE]+", re.ASCII)
+_PLAIN = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 
 
 def graph_of(content: bytes, names: Sequence[str]) -> dict[str, Any]:
@@ -46,7 +46,7 @@ def _of_text(content: bytes) -> dict[str, Any]:
         raise ValueError("expected numbers, got the attributes of edges; write_edgelist(..., data=False)")
     table = np.column_stack(Text(content).columns(()))
     edges = listed_edges(table, None) if table.shape[1] in (2, 3) else adjacent_edges(table)
-    return _with_numbers(edges, {name.decode(): number.decode() for name, number in _NUMBER.findall(content)})
+    return _with_numbers(edges, {name.decode(): text.decode("latin-1") for name, text in _REMARK.findall(content)})
 
 
 class _WithoutType(ElementTree.TreeBuilder):

@@ -152,7 +152,8 @@ def _read(at: str, sha256: str, is_graph: bool, variable: str, others: tuple[Oth
             f"system.path: expected {at} as it was when the scene was read (sha256 {sha256[:12]}), got another "
             f"(sha256 {actual[:12]}); restore the file, or run the scene with it into another directory"
         )
-    return _arrays(system, rest, is_graph)
+    *_, (_, arrays) = _read_in_turn(system, rest, is_graph)
+    return arrays
 
 
 class _Content(NamedTuple):
@@ -172,18 +173,22 @@ def _digest(system: _Content, others: Mapping[str, _Content]) -> str:
     return digest("\n".join(words).encode())
 
 
-def _arrays(system: _Content, others: Mapping[str, _Content], is_graph: bool) -> dict[str, Any]:
+def _read_in_turn(
+    system: _Content, others: Mapping[str, _Content], is_graph: bool
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The name of each file, and what it and those before it hold."""
     with _naming(_PATH, system.name, "a graph" if is_graph else "K"):
         if is_graph:
             arrays = graph_of(system.bytes, BY_BLOCK)
         else:
             arrays = arrays_of(system.bytes, BY_BLOCK, variable=system.variable)
+    yield system.name, arrays
     for array, content in others.items():
         if array in arrays:
             raise SceneError(f"system.path: expected `{array}` in one file, got it in {system.name} too; remove one")
         with _naming(f"{_PATH}.{array}", content.name, array):
             arrays |= arrays_of(content.bytes, (), array, content.variable)
-    return arrays
+        yield content.name, arrays
 
 
 def look_at_series(key: str, table: Mapping[str, Any], folder: Path, t_end: object) -> dict[str, Any]:
@@ -281,16 +286,15 @@ def _line(error: Exception) -> str:
 
 def _checked(system: _Content, others: Mapping[str, _Content], is_graph: bool) -> dict[str, Any]:
     """What a scene says of a file that was read, and of more with it, as plain values."""
-    arrays = _arrays(system, others, is_graph)
-    make = partial(System.from_graph, arrays["edges"]) if is_graph else partial(System, arrays["stiffness"])
-    try:
-        checked = make(**{"damping": 0.0} | {k: arrays[k] for k in OF_BLOCKS if k in arrays})
-        for key in ("z0", "w0"):
-            per_block(key, arrays.get(key, 0.0), checked.n)
-        names = named(arrays.get(NAMES, ()), checked.n)
-    except (TypeError, ValueError, MemoryError) as error:
-        also = "".join(f", {content.name}" for content in others.values())
-        raise SceneError(f"system.path: {system.name}{also}: {_line(error)}") from None
+    for file, arrays in _read_in_turn(system, others, is_graph):  # what does not fit is of the last one
+        make = partial(System.from_graph, arrays["edges"]) if is_graph else partial(System, arrays["stiffness"])
+        try:
+            checked = make(**{"damping": 0.0} | {k: arrays[k] for k in OF_BLOCKS if k in arrays})
+            for key in ("z0", "w0"):
+                per_block(key, arrays.get(key, 0.0), checked.n)
+            names = named(arrays.get(NAMES, ()), checked.n)
+        except (TypeError, ValueError, MemoryError) as error:
+            raise SceneError(f"system.path: {file}: {_line(error)}") from None
     return {
         "sha256": _digest(system, others),
         "n": checked.n,

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import Study
+from stickslip.analysis import Study, members
 from stickslip.analysis.burn_in import UNSEEN, estimates, geweke
 from stickslip.analysis.ensemble import Recorded
 from stickslip.analysis.models.motion import early_and_late
@@ -54,6 +54,14 @@ def test_early_is_the_first_tenth_and_late_the_last_half():
     """One more block sticks at each unit of time."""
     ramp = windows(Stack.of([(np.arange(100.0), np.arange(100))]), 0.0, [100.0])
     assert early_and_late(ramp, np.array([np.nan])).tolist() == [[4.5, 74.5]]
+
+
+def test_the_period_of_a_force_is_worked_out_once_a_setting(planted, settings, rng, monkeypatch):
+    asked = []
+    monkeypatch.setattr(members, "force_period", lambda setting: asked.append(setting) or np.nan)
+    study = Study(ensembles(planted, rng, [0.0, 0.0], 4), settings)
+    assert [len(study.ended(np.arange(4))), len(study.ended(np.arange(4, 8)))] == [4, 4]
+    assert len(asked) == 2
 
 
 def test_under_a_force_both_are_whole_periods(rng):

@@ -14,6 +14,7 @@ from stickslip.analysis.members import records
 from stickslip.analysis.models.clustering import measure, own_gaps, pairs
 from stickslip.analysis.questions.slips import cascades, collective, triggering
 from stickslip.analysis.series.nulls import BlockSteps, rotated
+from stickslip.pipeline.design.units import Units
 from tests.analysis import studies
 from tests.analysis.designs import Data
 from tests.analysis.test_chance import times_of
@@ -101,6 +102,16 @@ def test_pairs_of_independent_blocks_are_judged_together(planted, rng):
     assert found.estimate.high < 0.1 if is_limit(found) else found.estimate.low < 0.05
     if is_limit(found):
         assert found.predicate == "trigger another within 0.05"
+
+
+def test_the_time_is_in_the_units_of_the_scene(planted, rng):
+    """0.05 of a scale of 1/320 s, and 0.05 itself, without one."""
+    exits = exits_of(planted, [studies.blocks_run(rng) for _ in range(10)])
+    first = exits.pairs[0]
+    assert exits.within(first) == "within 0.05"
+    seconds = exits._replace(units=Units("s", "m", "kg"), pairs=[first._replace(tau=0.05 / 320)])
+    (level,) = seconds.levels(EVERYWHERE, "system")
+    assert level.quantity.name == "mean number of slip onsets within 1.56e-4 s after one"
 
 
 def test_exits_that_follow_others_are_seen(planted, rng):

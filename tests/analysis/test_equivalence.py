@@ -8,7 +8,7 @@ from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import Compared, against, bounded_difference, bounded_ratio, mean_difference
 from stickslip.analysis.stats.estimates import Undefined, over_matrices, ratio
 from stickslip.analysis.stats.multiplicity import holm
-from stickslip.analysis.stats.shares import Proportion, mean_within, share_over_matrices, wilson
+from stickslip.analysis.stats.shares import Proportion, mean_share, mean_within, share_over_matrices, wilson
 
 
 def test_the_test_agrees_with_its_interval():
@@ -78,15 +78,18 @@ def test_scatter_that_a_few_matrices_make_is_hardly_known():
     assert student.worth(1.959963984540054, np.inf) == pytest.approx(1.0)
 
 
-def test_a_share_of_blocks_has_an_interval_where_none_has_it():
-    """12 systems at worst agree within themselves: as many trials. What all share to the last bit is exact."""
+def test_what_all_systems_share_is_exact_but_for_a_bound_that_runs_reach_or_not():
+    """12 systems at worst agree within themselves: as many trials. A share of time is no count of such."""
     known = stats.binomtest(0, 12).proportion_ci(0.95, method="wilson")
     none = mean_within(np.array([[0.0, 1.0]] * 12), 1.0, 0.95)
     assert (none.value, none.low, none.high) == (0.0, 0.0, pytest.approx(known.high))
     all_of_it = mean_within(np.array([[5.0, 1.0]] * 12), 5.0, 0.95)
     assert (all_of_it.value, all_of_it.low, all_of_it.high) == (5.0, pytest.approx(5 * (1 - known.high)), 5.0)
-    half = mean_within(np.array([[0.5, 1.0]] * 12), 1.0, 0.95)
-    assert (half.low, half.high) == (0.5, 0.5)
+    for share in (0.0, 0.5, 1.0):
+        alike = mean_share(np.array([[share, 1.0]] * 12), 1.0, 0.95)
+        assert (alike.value, alike.low, alike.high) == (share, share, share)
+    alone = mean_share(np.array([[0.0, 1.0]]), 1.0, 0.95)
+    assert (alone.low, alone.reason) == (None, "one matrix")
 
 
 def test_shares_far_from_their_bounds_have_students_interval(rng):

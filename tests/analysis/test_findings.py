@@ -43,7 +43,7 @@ from stickslip.analysis.findings.numbers import limit, number, span, with_interv
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital, place_of, sentence
 from stickslip.analysis.page.layout import findings_table
-from stickslip.analysis.page.parts import Part
+from stickslip.analysis.page.parts import Part, findings_json
 from stickslip.analysis.page.parts import row as row_of
 from stickslip.analysis.questions.runs import settled
 from stickslip.analysis.stats.estimates import Estimate
@@ -211,6 +211,8 @@ def test_sentences():
     assert sentence(Alike(period, 3.50812, "from all 8 starts")) == (
         "Period of the cycle: 3.508, the same from all 8 starts."
     )
+    time = Quantity("stick_share", "mean share of time")
+    assert sentence(Level(time, Estimate(0.0, 0.0, 0.0), basis=Basis(8))) == "Mean share of time: 0 in all 8 systems."
     assert sentence(Decided(Truth.NO, basin)) == f"No: {sentence(basin)}"
 
 
@@ -399,6 +401,8 @@ def test_of_another_dataset_both_values_are_said():
     assert "below other at 0.0453 (0.0401 to 0.0506) m/s" in sentence(level)
     (row,) = findings_table([level]).rows
     assert "other: 0.0453 (0.0401\u00a0to\u00a00.0506)" in row
+    said = findings_json("", [], [Part("a", "", Answer([level]), [], [""], [level])])["findings"][0]["rows"][0]
+    assert [said[f"compared_{end}"] for end in ("with", "value", "low", "high")] == ["other", 0.0453, 0.0401, 0.0506]
     lead = sentence(Outcomes("other", different=("one",), largest=level, at_largest="one"))
     assert lead.endswith("lower than other, 0 against 0.0453 m/s.")
 

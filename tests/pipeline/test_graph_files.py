@@ -57,7 +57,7 @@ def scene(folder, text=SCENE):
 
 def test_all_formats_hold_one_system(graph, tmp_path):
     adjacency = networkx.to_scipy_sparse_array(graph, dtype=float)
-    (tmp_path / "G.csv").write_text(csv(graph))
+    (tmp_path / "G.csv").write_text(csv(graph, model="e", by="Zoë"))
     (tmp_path / "G.txt").write_text(csv(graph).replace(",", " ").replace("i j weight", "% i j weight"))
     del graph.graph["rewiring"]
     networkx.write_graphml(graph, tmp_path / "G.graphml")

@@ -105,6 +105,16 @@ def test_what_does_not_fit_is_refused(old, new, words, scene):
         load_scene(scene)
 
 
+@pytest.mark.parametrize(("file", "numbers", "words"), [
+    ("K.csv", np.ones((3, 4)), r"path: \S*/K\.csv: stiffness: expected .* \(3, 4\)"),
+    ("M.csv", -M, r"path: M\.csv: mass: expected"),
+])  # fmt: skip
+def test_of_several_files_the_wrong_one_is_named(file, numbers, words, scene):
+    np.savetxt(scene.parent / file, numbers, delimiter=";")
+    with pytest.raises(SceneError, match=words):
+        load_scene(scene)
+
+
 def test_times_that_do_not_increase_are_refused_by_row(scene):
     (scene.parent / "speed.csv").write_text("t,v\n0,1\n2,1\n2,1\n")
     with pytest.raises(SceneError, match=r"speed\.csv: expected times that increase, got 2 after 2 in row 3"):

@@ -37,9 +37,8 @@ from stickslip.analysis.grid import is_negative
 from stickslip.analysis.members import noun
 from stickslip.analysis.models.common_motion import Number
 from stickslip.analysis.questions.slips.slow_motion import Slow, misfits, slow_motions
-from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import Compared
-from stickslip.analysis.stats.estimates import Estimate, jackknife_error, with_ends
+from stickslip.analysis.stats.estimates import Estimate, jackknife_error, jackknife_estimate, with_ends
 from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.style import HUES, bars, panel
 from stickslip.pipeline.design.values import shown
@@ -188,14 +187,14 @@ def changes(lines: Sequence[Along], unit: str, confidence: float) -> list[Change
     changed = []
     for (number, of_set, averaged), p in zip(tested, adjusted, strict=True):
         is_share = number is Number.SHARE
-        size = _estimate(averaged.after - averaged.before, confidence)
+        size = jackknife_estimate(averaged.after - averaged.before, confidence)
         scale = Scale.ABSOLUTE if is_share else Scale.RELATIVE
         difference = Difference(
             size if is_share else size.under(np.expm1), scale, family=Family(len(tested), p, alpha=1 - confidence)
         )
         key, (old, new) = of_set[0].key, of_set[0].ends
         keys = (KeyChange(key, shown(old), shown(new), is_negative(old, new)),)
-        before, after = (_estimate(side, confidence) for side in (averaged.before, averaged.after))
+        before, after = (jackknife_estimate(side, confidence) for side in (averaged.before, averaged.after))
         if not is_share:
             before, after = before.under(np.exp), after.under(np.exp)
         basis = Basis(min(len(motion.units) for line in of_set for motion in (line.groups[0], line.groups[-1])), unit)
@@ -224,12 +223,6 @@ class _Averaged(NamedTuple):
         """Tests of the last value less the first."""
         change = self.after - self.before
         return Compared(float(change[0]), jackknife_error(change[1:]), len(change) - 2)
-
-
-def _estimate(values: np.ndarray, confidence: float) -> Estimate:
-    """A number with its interval, from its values of shape (1 + G,): of all systems, and with each left out."""
-    value, half = float(values[0]), student.half_width(confidence, len(values) - 2) * jackknife_error(values[1:])
-    return Estimate(value, value - half, value + half)
 
 
 def _averaged_over(lines: Sequence[Along]) -> Place:
@@ -267,7 +260,7 @@ def power_law(number: Number, key: str, lines: Sequence[Along], confidence: floa
     x, y = x - in_set @ (share.T @ x), y - in_set @ (share.T @ y)
     by_set = (in_set.T @ (weight[:, None] * x[:, None] * y)) / (in_set.T @ (weight * x**2))[:, None]
     slopes = (weight * x) @ y / (weight @ x**2)
-    n_free, exponent = len(points) - len(sets) - 1, _estimate(slopes, confidence)
+    n_free, exponent = len(points) - len(sets) - 1, jackknife_estimate(slopes, confidence)
     misfit = float(special.chdtrc(n_free, weight @ (y[:, 0] - slopes[0] * x) ** 2))
     return Power(number, key, float(values.min()), float(values.max()), exponent, misfit, _p_apart(by_set))
 

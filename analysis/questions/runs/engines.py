@@ -26,7 +26,7 @@ from stickslip.analysis.members import ENGINE_KEYS, STEPS, TOLERANCES, WIDTHS, n
 from stickslip.analysis.outcomes import DIFFERENT, forest, in_words, outcomes
 from stickslip.analysis.stats.estimates import UnitSums
 from stickslip.analysis.stats.quantities import QUANTITIES
-from stickslip.analysis.steps import Kind, Setting, Step, few, judged_together, table_of
+from stickslip.analysis.steps import Kind, Step, Variant, few, judged_together, table_of
 from stickslip.pipeline.design.labels import engine_name, engine_noun
 from stickslip.pipeline.design.values import text
 
@@ -141,28 +141,28 @@ def _other(pair: _Pair, groups: Sequence[Group]) -> str:
     return engine_noun(name) if words == engine_name(name) else words
 
 
-def _setting(pair: _Pair, groups: Sequence[Group]) -> Setting:
+def _setting(pair: _Pair, groups: Sequence[Group]) -> Variant:
     """What is compared: an engine, and what tells it from others of that engine."""
     key = pair.group.key
     engine = engine_name(key["engine"])
     if pair.threshold is not None:
-        return Setting(engine, Kind.THRESHOLD.value, pair.threshold)
+        return Variant(engine, Kind.THRESHOLD.value, pair.threshold)
     if pair.kind is Kind.TOLERANCE:
         tolerance = next(name for name in TOLERANCES if key[name] is not None)
-        return Setting(engine, tolerance, float(key[tolerance]))
+        return Variant(engine, tolerance, float(key[tolerance]))
     return _engine(pair.group, groups)
 
 
-def _engine(group: Group, groups: Sequence[Group]) -> Setting:
+def _engine(group: Group, groups: Sequence[Group]) -> Variant:
     """An engine, with the number that tells its settings apart, or several."""
     key = group.key
     engine = engine_name(key["engine"])
     alike = [sibling.key for sibling in groups if sibling.key["engine"] == key["engine"]]
     differ = [name for name in (*WIDTHS, *STEPS) if len({sibling[name] for sibling in alike}) > 1]
     if len(differ) == 1 and key[differ[0]] is not None:
-        return Setting(engine, differ[0], float(key[differ[0]]))
+        return Variant(engine, differ[0], float(key[differ[0]]))
     values = ", ".join(f"{name} = {text(key[name])}" for name in differ if key[name] is not None)
-    return Setting(f"{engine} with {values}" if values else engine)
+    return Variant(f"{engine} with {values}" if values else engine)
 
 
 def _thresholds(study: Study) -> _Thresholds:

@@ -21,14 +21,13 @@ from stickslip.analysis.members import noun
 from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, SETTLED
 from stickslip.analysis.models.motion import COLUMNS
 from stickslip.analysis.outcomes import forest, outcomes
-from stickslip.analysis.pairs import START, Comparison, Setting, follow, level, settings
+from stickslip.analysis.pairs import START, Comparison, PairSet, follow, level, settings
 from stickslip.analysis.stats import components, enough
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums, non_negative
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.stats.shares import share_over_matrices
 from stickslip.analysis.stats.survival import median_of_known
-from stickslip.analysis.steps import Kind, Step, few, judged_together, table_of
-from stickslip.analysis.steps import Setting as Named
+from stickslip.analysis.steps import Kind, Step, Variant, few, judged_together, table_of
 from stickslip.pipeline.design import design
 from stickslip.pipeline.design.design import DEFAULT_READING, Change
 from stickslip.pipeline.design.labels import Label
@@ -89,13 +88,13 @@ class _Set(NamedTuple):
 class _Copies:
     """The runs of one setting: its changes, replicates, and sums of each of `PRIMARY`, by row of the member."""
 
-    setting: Setting
+    setting: PairSet
     changes: list[Comparison]
     replicates: list[Comparison]
     sums: Mapping[int, np.ndarray]
 
     @classmethod
-    def of(cls, study: Study, setting: Setting) -> _Copies:
+    def of(cls, study: Study, setting: PairSet) -> _Copies:
         changes = [comparison for comparison in setting.comparisons if comparison.change.kind != START]
         if not changes:
             return cls(setting, [], [], {})
@@ -136,7 +135,7 @@ class _Copies:
         return UnitSums(np.arange(len(means)), np.array(means).reshape(-1, 2))
 
 
-def _replicates(study: Study, setting: Setting) -> list[Comparison]:
+def _replicates(study: Study, setting: PairSet) -> list[Comparison]:
     """The displaced starts for which every run has parted from its base by t_burn."""
     starts = [comparison for comparison in setting.comparisons if comparison.change.kind == START]
     far = level(study, setting) if starts else None
@@ -170,12 +169,12 @@ def _steps(study: Study, copies: _Copies, where: Place) -> Iterator[Step]:
             yield Step(Kind.COPY, copies.label, copies.label, difference, keys, place, _named(change))
 
 
-def _named(change: Change) -> Named:
+def _named(change: Change) -> Variant:
     """A change, with its size."""
     if change.kind == design.Kind.RATIOS:
-        return Named("a draw of other stiffness ratios")
+        return Variant("a draw of other stiffness ratios")
     how = "" if change.reading in (None, DEFAULT_READING) else f" ({change.reading})"
-    return Named("", f"a change of constants{how}", 100.0 * change.size, "%")
+    return Variant("", f"a change of constants{how}", 100.0 * change.size, "%")
 
 
 def _effects(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[tuple[str, Level]]:

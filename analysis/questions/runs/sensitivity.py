@@ -18,7 +18,7 @@ from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import listed
 from stickslip.analysis.members import RELATIVE
 from stickslip.analysis.models.growth import Growth, growth
-from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, Comparison, Followed, Setting, follow, level, settings
+from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, Comparison, Followed, PairSet, follow, level, settings
 from stickslip.analysis.series import parting
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.stats.shares import wilson
@@ -52,7 +52,7 @@ def _method(study: Study) -> str:
 class Rate(NamedTuple):
     """The growth rate of starts displaced by one size, and the distances of the pairs that it is of."""
 
-    setting: Setting
+    setting: PairSet
     size: float
     n_pairs: int
     law: Growth
@@ -122,7 +122,7 @@ class Parting(NamedTuple):
     of one of the two grew without limit before they parted.
     """
 
-    setting: Setting
+    setting: PairSet
     change: Change
     pairs: Followed
     half: Estimate
@@ -156,11 +156,11 @@ def answer(study: Study) -> Answer | None:
     )
 
 
-def _size(setting: Setting) -> int:
+def _size(setting: PairSet) -> int:
     return int(setting.key["n"])
 
 
-def _rate(study: Study, setting: Setting) -> Rate | None:
+def _rate(study: Study, setting: PairSet) -> Rate | None:
     """The growth rate of starts displaced by the size that stands for a setting; None if none is small."""
     small = [
         comparison
@@ -171,7 +171,7 @@ def _rate(study: Study, setting: Setting) -> Rate | None:
     return max(rates, key=lambda rate: rate.precedence, default=None)
 
 
-def _of_size(study: Study, setting: Setting, comparison: Comparison) -> Rate:
+def _of_size(study: Study, setting: PairSet, comparison: Comparison) -> Rate:
     """The growth rate of starts displaced by one size."""
     names, separations = study.data.table.own["member_id"].to_numpy(object), study.data.separations
     pairs = [
@@ -200,7 +200,7 @@ def _floor(key: Mapping[str, Any]) -> float:
     return max([FLOOR, *(TOLERANCES * tolerance for tolerance in tolerances)])
 
 
-def _partings(study: Study, setting: Setting) -> Iterator[Parting]:
+def _partings(study: Study, setting: PairSet) -> Iterator[Parting]:
     """When half of the systems' copies have parted, for each change."""
     typical_gap = level(study, setting)
     if typical_gap is None:

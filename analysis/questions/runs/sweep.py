@@ -35,7 +35,7 @@ from stickslip.analysis.findings.finding import (
 )
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital
-from stickslip.analysis.grid import Grid, Point, axes_of, balanced, estimate, is_negative, points_at
+from stickslip.analysis.grid import Point, Sweep, axes_of, balanced, estimate, is_negative, points_at
 from stickslip.analysis.measures import MOTION, STICKING, B, Measure
 from stickslip.analysis.members import RELATIVE, noun
 from stickslip.analysis.models.fates import MOVING, QUIET, WATCHED
@@ -73,7 +73,7 @@ def answer(study: Study) -> Answer | None:
     """How statistics change with each swept key; None where no key is swept."""
     if not axes_of(study.groups):
         return None
-    grid, unit = Grid.of(study), noun(study.unit)
+    grid, unit = Sweep.of(study), noun(study.unit)
     unjudged = [step for setting in grid.settings for step in _steps(grid, setting)]
     steps = judged_together(unjudged, 1 - grid.confidence)
     judged = [step for step in steps if step.contrast.is_known or step.turns]
@@ -90,7 +90,7 @@ def answer(study: Study) -> Answer | None:
     return Answer(findings, len(lead), alerts, method, tables=tables, figures=pictures)
 
 
-def _lack(grid: Grid, steps: Sequence[Step]) -> Lack:
+def _lack(grid: Sweep, steps: Sequence[Step]) -> Lack:
     what = f"what changes with {' and '.join(axis.name for axis in grid.axes)}"
     n_units = max(len(point.group.units) for point in grid.every)
     if n_units >= enough.LEAST_MATRICES and not any(step.contrast.n_first for step in steps):
@@ -98,7 +98,7 @@ def _lack(grid: Grid, steps: Sequence[Step]) -> Lack:
     return few(what, (point.group for point in grid.every))
 
 
-def _method(grid: Grid, steps: Sequence[Step], unit: str) -> str:
+def _method(grid: Sweep, steps: Sequence[Step], unit: str) -> str:
     """How values are compared, and what the first measures are."""
     averages = ", averaged over the values of the other keys at which both are known" if len(grid.axes) > 1 else ""
     is_of_files = any(point.group.unit is Unit.FILE for point in grid.every)
@@ -117,7 +117,7 @@ def _method(grid: Grid, steps: Sequence[Step], unit: str) -> str:
 # ---------------------------------------------------------------------------------------------------- steps
 
 
-def _steps(grid: Grid, setting: Label) -> Iterator[KeyStep]:
+def _steps(grid: Sweep, setting: Label) -> Iterator[KeyStep]:
     """Each value of each axis beside the first that has enough units, not judged yet."""
     points = grid.points[setting]
     # a change below it, in units of the largest value of a unit, is of the size of the runs' own errors
@@ -172,7 +172,7 @@ def _contrast(measure: Measure, common: _Common, confidence: float, withheld: st
 
 
 def _turns(
-    grid: Grid, measure: Measure, points: Sequence[Point], axis: Axis, rows: Sequence[KeyValues]
+    grid: Sweep, measure: Measure, points: Sequence[Point], axis: Axis, rows: Sequence[KeyValues]
 ) -> list[tuple[Turn, int]]:
     """Where a measure is shown to turn along an axis, with intervals for all pairs of values of all that is asked.
 
@@ -273,7 +273,7 @@ def _differ(common: _Common) -> bool:
 # ---------------------------------------------------------------------------------------------------- what leads
 
 
-def _order(grid: Grid, steps: Sequence[Step]) -> list[str]:
+def _order(grid: Sweep, steps: Sequence[Step]) -> list[str]:
     """Measures in order: what is recorded, the share that sticks late if it changes, others, what is the same."""
     varied = {step.statistic for step in steps if not step.contrast.is_same}
     names = sorted((measure.name for measure in grid.asked), key=lambda name: name not in varied)
@@ -285,7 +285,7 @@ def _order(grid: Grid, steps: Sequence[Step]) -> list[str]:
 
 
 def _lead(
-    grid: Grid, thresholds: Sequence[Threshold], order: Sequence[str], steps: Sequence[KeyStep], unit: str
+    grid: Sweep, thresholds: Sequence[Threshold], order: Sequence[str], steps: Sequence[KeyStep], unit: str
 ) -> list[Finding]:
     """Where stick-slip ends, and changes of the first measure; if none of these is shown, one that is too."""
     leading = order[:2] if order[0] == STICKING else order[:1]
@@ -330,7 +330,7 @@ def _goes_further(inner: Contrast, last: Contrast) -> bool:
     return first > end > there.high or first < end < there.low
 
 
-def _rest(grid: Grid, order: Sequence[str], steps: Sequence[KeyStep], unit: str) -> Iterator[Finding]:
+def _rest(grid: Sweep, order: Sequence[str], steps: Sequence[KeyStep], unit: str) -> Iterator[Finding]:
     """Of each measure the change to the last value of a key; of the first two all changes, and the first value."""
     for name in order:
         of_name = [step for step in steps if step.statistic == name]
@@ -347,7 +347,7 @@ def _rest(grid: Grid, order: Sequence[str], steps: Sequence[KeyStep], unit: str)
                 yield step.change(unit)
 
 
-def _thresholds(grid: Grid, setting: Label, unit: str) -> Iterator[Threshold]:
+def _thresholds(grid: Sweep, setting: Label, unit: str) -> Iterator[Threshold]:
     """Between which values of the first key all runs cease to be in motion, or begin to, wherever the others are."""
     axis, *axes = grid.axes
     by_place = by_key(grid.points[setting], lambda point: tuple(point.place[further] for further in axes))
@@ -378,7 +378,7 @@ def _all_or_none(point: Point) -> bool | None:
 # ---------------------------------------------------------------------------------------------------- what is left
 
 
-def _alerts(study: Study, grid: Grid) -> list[Alert]:
+def _alerts(study: Study, grid: Sweep) -> list[Alert]:
     """Runs of which it is not known whether they stick again, runs without a value, and values that are withheld."""
     points, alerts, withheld = grid.every, list[Alert](), list[Alert]()
     if n_quiet := sum(point.fates[QUIET] for point in points):
@@ -425,7 +425,7 @@ _COLUMNS: Columns[_Cell] = {
 }
 
 
-def _table(grid: Grid) -> pd.DataFrame:
+def _table(grid: Sweep) -> pd.DataFrame:
     """Each measure, and the share of runs that stick late, with its interval at each point."""
     cells = [
         _Cell(setting, point, measure, estimate(measure.statistic, [point], grid.confidence))

@@ -16,7 +16,7 @@ from stickslip.analysis.answer import Picture
 from stickslip.analysis.findings.finding import Verdict
 from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.words import MOST_TURNS, capital, extrema, listed
-from stickslip.analysis.grid import Grid, is_negative, points_at
+from stickslip.analysis.grid import Sweep, is_negative, points_at
 from stickslip.analysis.measures import KEYS, STICKING, Measure
 from stickslip.analysis.stats.estimates import Estimate, with_ends
 from stickslip.analysis.steps import Step
@@ -33,7 +33,7 @@ _FEW_TICKS = 4  # so few values of a key are its ticks
 Line = tuple[str, Sequence[Estimate]]
 
 
-def figures(grid: Grid, order: Sequence[str], steps: Sequence[Step], units: Units) -> dict[str, Picture]:
+def figures(grid: Sweep, order: Sequence[str], steps: Sequence[Step], units: Units) -> dict[str, Picture]:
     """Each measure along the key of the step that leads, in an order; over more keys, of the setting that leads."""
     lead = grid.settings[0]
     leading = [step for step in steps if (step.statistic, step.setting) == (order[0], lead)] or steps
@@ -62,7 +62,7 @@ def figures(grid: Grid, order: Sequence[str], steps: Sequence[Step], units: Unit
     return pictures
 
 
-def _trend(grid: Grid, steps: Sequence[Step], key: str, is_of_size: bool) -> str:
+def _trend(grid: Sweep, steps: Sequence[Step], key: str, is_of_size: bool) -> str:
     """What a figure of a statistic along a key shows; of negative values, with their size."""
     told_apart = [step for step in steps if step.contrast.is_shown]
     verdicts = {step.contrast.verdict for step in told_apart}
@@ -82,7 +82,7 @@ def _trend(grid: Grid, steps: Sequence[Step], key: str, is_of_size: bool) -> str
     return f"{'rises' if verdicts == {Verdict.MORE} else 'falls'} {side}{only}"
 
 
-def _lines(grid: Grid, axes: Sequence[Axis], measure: Measure) -> list[Line]:
+def _lines(grid: Sweep, axes: Sequence[Axis], measure: Measure) -> list[Line]:
     """Lines along the first axis, one for each value of the second, or for each setting.
 
     Of more axes, at those of their values at which most points have the measure: averages over some values here and

@@ -70,15 +70,14 @@ def answer(study: Study) -> Answer:
     if laws:
         leading = [laws[0], _level(Q, Number.QUALITY, lead, where, unit, lead.group.label in missed)]
     shares = [] if exits is None else triggered(exits, where, unit)
-    pairs, basis = ((), None) if exits is None else (exits.pairs, Basis(exits.n_units, unit))
-    compared = [row.level(where, basis) for row in pairs if row.observed.low is not None]
+    compared = [] if exits is None else exits.levels(where, unit)
     return Answer(
         findings=[*leading, *shares, *laws[1:], *compared],
         n_lead=1 if laws else 1 + bool(shares),
         alerts=_alerts(lead.group, {str(where_of[label]): p for label, p in missed.items()}, len(laws)),
         method=_METHOD,
         tables={
-            "clustering": frame_by(CLUSTERING, pairs),
+            "clustering": frame_by(CLUSTERING, () if exits is None else exits.pairs),
             "spectrum": frame_of(Band, (band for group in bands.values() for band in group)),
         },
         figures={"collective": _picture(recipe, lead, len(labels), len(motions))} if named else {},

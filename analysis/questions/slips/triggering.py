@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -18,6 +18,8 @@ from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
 from stickslip.analysis.stats.multiplicity import together
+from stickslip.pipeline.design.units import DIMENSIONLESS, Units
+from stickslip.pipeline.design.values import shown
 
 SOON = 0.2  # in mean gaps between exits: an exit that another one triggers comes sooner
 
@@ -31,11 +33,6 @@ class Pairs(NamedTuple):
     independent: float
     ratio: Estimate
     difference: Difference
-
-    def level(self, where: Place, basis: Basis | None) -> Level:
-        """The finding, where it has an interval."""
-        quantity = Quantity("pairs", f"mean number of slip onsets within {self.tau:g} after one")
-        return Level(quantity, self.observed, where, Comparison("time-shifted blocks", self.difference), basis)
 
 
 #: The table `clustering`.
@@ -55,6 +52,19 @@ class Exits(NamedTuple):
     pairs: list[Pairs]
     n_units: int
     gap: float
+    units: Units = DIMENSIONLESS  #: of tau and the gap
+
+    def within(self, pairs: Pairs) -> str:
+        """Within which time they are, in words."""
+        return f"within {shown(float(f'{pairs.tau:.3g}'))} {self.units.time}".rstrip()
+
+    def levels(self, where: Place, unit: str) -> Iterator[Level]:
+        """The findings that have an interval."""
+        for pairs in self.pairs:
+            if pairs.observed.low is not None:
+                quantity = Quantity("pairs", f"mean number of slip onsets {self.within(pairs)} after one")
+                beside = Comparison("time-shifted blocks", pairs.difference)
+                yield Level(quantity, pairs.observed, where, beside, Basis(self.n_units, unit))
 
 
 def triggered(exits: Exits, where: Place, unit: str) -> list[Share]:
@@ -79,10 +89,10 @@ def triggered(exits: Exits, where: Place, unit: str) -> list[Share]:
     assert high is not None
     if larger is not None:
         share = Estimate((value - 1) * per_exit, (low - 1) * per_exit, (high - 1) * per_exit)
-        predicate = f"follow another within {chosen.tau:g} in excess of time-shifted blocks"
+        predicate = f"follow another {exits.within(chosen)} in excess of time-shifted blocks"
     else:
         share = Estimate(high=(max(high, (high / low) ** 0.5) - 1) * per_exit)
-        predicate = f"trigger another within {chosen.tau:g}"
+        predicate = f"trigger another {exits.within(chosen)}"
     return [Share("triggered", "slip onsets", predicate, share, where, basis=Basis(exits.n_units, unit))]
 
 
@@ -99,7 +109,7 @@ def exits_of(study: Study, group: Group) -> Exits | None:
     if len(sums) < 2:
         return None
     pairs = compare(group.label, sums[:, :n_columns].reshape(-1, len(taus), 2), sums[:, n_columns], taus, confidence)
-    return Exits(pairs, len(sums), n_runs * span / n_exits)
+    return Exits(pairs, len(sums), n_runs * span / n_exits, study.settings.units)
 
 
 def compare(label: str, rows: np.ndarray, exits: np.ndarray, taus: Sequence[float], confidence: float) -> list[Pairs]:
