@@ -503,9 +503,9 @@ def _figures(
     }
 
 
-def _first_run(study: Study, group: Group) -> tuple[int, cascade_figures.Largest | None, Recipe]:
+def _first_run(study: Study, group: Group) -> tuple[str, cascade_figures.Largest | None, Recipe]:
     """Unit of the first run of a group, its largest cascade, and what draws it."""
-    row, member_id, win = next(iter(study.windows(group)))
+    _, member_id, win = next(iter(study.windows(group)))
     cascades = spans(win)
     largest = None
     if len(cascades.size):
@@ -513,7 +513,7 @@ def _first_run(study: Study, group: Group) -> tuple[int, cascade_figures.Largest
         largest = cascade_figures.Largest(int(cascades.size[k]), float(cascades.start[k]), float(cascades.stop[k]))
     t, n_stick = study.runs.points(member_id)
     of_run = t, n_stick, win.t_stop, study.settings.t_burn, largest, study.settings.units
-    return group.units[row], largest, partial(cascade_figures.one_run, *of_run)
+    return study.data.table.unit_of(member_id), largest, partial(cascade_figures.one_run, *of_run)
 
 
 QUESTION = Question(
