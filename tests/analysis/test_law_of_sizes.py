@@ -184,7 +184,7 @@ OFF = "Shares (exact) lie below the fitted geometric distribution at s = 1 and 4
 
 
 @pytest.mark.parametrize(("bend", "two_state", "words"), [
-    (0.8, 0.8, f"{OFF}, as those of independent two-state blocks. "), (0.8, 1.0, f"{OFF}. "), (1.0, 1.0, ""),
+    (0.8, 0.8, f"{OFF}, like those of independent two-state blocks. "), (0.8, 1.0, f"{OFF}. "), (1.0, 1.0, ""),
 ])  # fmt: skip
 def test_the_figure_says_at_which_sizes_shares_leave_the_fit(bend, two_state, words):
     bends = {1: bend, 3: 1 / bend} | dict.fromkeys(range(4, 8), bend)
