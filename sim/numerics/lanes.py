@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 from numba import types
+from numba.core import codegen, config
 
 from stickslip.sim.kernels.emit import Code, Index, View, emitted, times_power_of_two
 from stickslip.sim.kernels.emit import Lane as Lane
@@ -20,9 +21,9 @@ from stickslip.sim.kernels.emit import absolute as absolute
 from stickslip.sim.kernels.emit import copysign as copysign
 from stickslip.sim.kernels.emit import where as where
 
-#: Numbers side by side: four float64 fill a register of AVX2.
-WIDTH = 4
-ALL = 2**WIDTH - 1
+#: Numbers side by side: four float64 fill a register of AVX2, eight one of AVX-512.
+NARROW = 4
+WIDTH = 8 if "+avx512f" in (config.CPU_FEATURES or codegen.get_host_cpu_features()) else NARROW
 
 
 def greater(x: Lane, y: Lane | float) -> Lane:
@@ -75,15 +76,15 @@ def exponential(x: Lane) -> Lane:
 class Rows:
     """The rows of a table at some columns, by name, as a formula reads and writes them: a list, if one a node."""
 
-    def __init__(self, table: View, column: Index) -> None:
-        vars(self).update(_places=table.places, _array=table.array, _column=column)
+    def __init__(self, table: View, column: Index, width: int) -> None:
+        vars(self).update(_places=table.places, _array=table.array, _column=column, _width=width)
 
     def _place(self, row: int) -> Index:
         return self._array.shape[1] * row + self._column
 
     def __getattr__(self, name: str) -> Any:
         first, count = self._places[name]
-        rows = [self._array.load(self._place(first + k), WIDTH) for k in range(max(count, 1))]
+        rows = [self._array.load(self._place(first + k), self._width) for k in range(max(count, 1))]
         return rows if count else rows[0]
 
     def __setattr__(self, name: str, value: Lane | list[Lane]) -> None:
@@ -106,18 +107,18 @@ class Numbers:
         return self._code.spread(self._array[self._array.shape[1] * row + column], WIDTH)
 
 
-def on_rows(formula: Callable[[Any, Any], Lane | None]) -> Any:
+def on_rows(formula: Callable[[Any, Any], Lane | None], width: int = WIDTH) -> Any:
     """A formula on rows of a table, for kernels.
 
-    ``f(table, column, given)`` works on `WIDTH` columns from `column` on. `given` is a table of numbers, or an empty
+    ``f(table, column, given)`` works on so many columns from `column` on. `given` is a table of numbers, or an empty
     named tuple, whose class the formula gets, so that it can emit code for that class alone. If the formula returns a
-    condition, f returns a number whose bit k says whether it holds in column k: `ALL` if it does in all.
+    condition, f returns a number whose bit k says whether it fails in column k: 0 if it holds in all.
     """
 
     def piece(code: Code, table: View, column: Index, table_of_numbers: Any) -> Index | None:
         shared = Numbers(code, table_of_numbers) if isinstance(table_of_numbers, View) else table_of_numbers
-        condition = formula(Rows(table, column), shared)
-        return None if condition is None else code.bits(condition)
+        condition = formula(Rows(table, column, width), shared)
+        return None if condition is None else code.bits(condition) * -1 + (2**width - 1)
 
     return emitted(piece, types.int64)
 

@@ -28,7 +28,7 @@ from stickslip.sim.engines.sigmoid_law import (
     smooth_sign,
 )
 from stickslip.sim.engines.waveform import control
-from stickslip.sim.numerics.lanes import Lane, absolute, dot, greater, less, on_rows, total, where
+from stickslip.sim.numerics.lanes import NARROW, Lane, absolute, dot, greater, less, on_rows, total, where
 from stickslip.sim.numerics.radau import (
     ALL_AT_PLACES,
     AT_PLACES,
@@ -343,9 +343,9 @@ def _gather_u(block: Any, _: Law) -> None:
     block.moment_u = _add_moments(block, block.moment_u, [u - since for u in block.u])
 
 
-#: For kernels.
+#: For kernels: on macro steps, and on substeps.
 newton, finish, probe, view = on_rows(_newton), on_rows(_finish), on_rows(_probe), on_rows(_view)
-predict, prepare = on_rows(_predict), on_rows(_prepare)
-slide = on_rows(_slide)
-gather, gather_u = on_rows(_gather), on_rows(_gather_u)
-force, force_changed = on_rows(_force(False)), on_rows(_force(True))
+predict, slide, force, force_changed = map(on_rows, (_predict, _slide, _force(False), _force(True)))
+prepare, newton_of, finish_of, probe_of, gather, gather_u = (
+    on_rows(formula, NARROW) for formula in (_prepare, _newton, _finish, _probe, _gather, _gather_u)
+)

@@ -19,7 +19,7 @@ from stickslip.sim.engines.waveform.control import Control
 from stickslip.sim.engines.waveform.matrices import Matrix
 from stickslip.sim.kernels.emit import Nodes, Row, Table, named
 from stickslip.sim.numerics.arguments import Floats, Ints
-from stickslip.sim.numerics.lanes import WIDTH
+from stickslip.sim.numerics.lanes import NARROW
 from stickslip.sim.numerics.panels import SINGLE_HEIGHT
 from stickslip.sim.numerics.radau import STAGES
 
@@ -258,7 +258,7 @@ def _workspace(n: int, width: int, has_forcing: bool, most: int, is_exact: bool,
     return Workspace(
         table=none,
         shared=none,
-        lanes=Lanes(np.empty((Blocks.n_rows, WIDTH)), *np.empty((3, WIDTH), np.int64)),
+        lanes=Lanes(np.empty((Blocks.n_rows, NARROW)), *np.empty((3, NARROW), np.int64)),
         product=np.zeros((STAGES, width)),
         single=np.zeros((STAGES, wide), np.float32),
         single_product=np.zeros((STAGES, wide), np.float32),

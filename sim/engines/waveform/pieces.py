@@ -27,7 +27,7 @@ from stickslip.sim.engines.waveform.layout import ORDER, Blocks, Changes, Model,
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import copy, room
-from stickslip.sim.numerics.lanes import ALL, WIDTH
+from stickslip.sim.numerics.lanes import WIDTH
 from stickslip.sim.numerics.radau import ALL_TO_POWERS, PROJECT, STAGES
 from stickslip.sim.numerics.roots import BINOMIALS, horner, roots
 
@@ -259,10 +259,10 @@ def solve_exactly(model: Model, work: Workspace, h: float) -> tuple[int, int]:
     n_split, n_pieces = 0, 0
     work.changes.n[0] = 0
     for first in range(0, n, WIDTH):
-        slides = slide(block, first, model.law)
+        ends = slide(block, first, model.law)
         for lane in range(min(WIDTH, n - first)):
             i = first + lane
-            work.is_split[i] = slides != ALL and ((slides >> lane) & 1) == 0
+            work.is_split[i] = ((ends >> lane) & 1) == 1
             if work.is_split[i]:
                 n_split += 1
                 n_pieces = _solve_block(work, i, h, n_pieces)

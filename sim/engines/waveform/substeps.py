@@ -9,22 +9,32 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from stickslip.sim.engines.waveform import control
-from stickslip.sim.engines.waveform.collocation import finish, gather, gather_u, newton, prepare, probe
+from stickslip.sim.engines.waveform.collocation import (
+    finish,
+    finish_of,
+    gather,
+    gather_u,
+    newton,
+    newton_of,
+    prepare,
+    probe,
+    probe_of,
+)
 from stickslip.sim.engines.waveform.layout import OF_BLOCK, Blocks, Lanes, Model, Repeated, Workspace, blocks
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import copy
-from stickslip.sim.numerics.lanes import ALL, WIDTH
+from stickslip.sim.numerics.lanes import NARROW, WIDTH
 from stickslip.sim.numerics.radau import PROJECT, STAGES, TO_POWERS
 
 
 @inner
-def _split(work: Workspace, first: int, accepted: int, n_split: int, anew: bool) -> int:
+def _split(work: Workspace, first: int, failed: int, n_split: int, anew: bool) -> int:
     """List those of `WIDTH` blocks that are not accepted, if `anew` with those listed before; returns how many."""
     is_split = work.is_split
     for lane in range(min(WIDTH, len(is_split) - first)):
         i = first + lane
-        if (anew and is_split[i]) or not (is_split[i] or (accepted >> lane) & 1):
+        if anew if is_split[i] else ((failed >> lane) & 1) == 1:
             is_split[i] = True
             work.split[n_split] = i
             n_split += 1
@@ -41,11 +51,11 @@ def _in_one_step(law: NamedTuple, work: Workspace) -> int:
         is_any_split = is_any_split or work.is_split[i]
     for first in range(0, n, WIDTH):
         for _ in range(control.MOST_NEWTON):
-            if newton(block, first, law) == ALL:
+            if newton(block, first, law) == 0:
                 break
-        accepted = finish(block, first, law)
-        if is_any_split or accepted != ALL:
-            n_split = _split(work, first, accepted, n_split, True)
+        failed = finish(block, first, law)
+        if is_any_split or failed != 0:
+            n_split = _split(work, first, failed, n_split, True)
     return n_split
 
 
@@ -54,9 +64,9 @@ def probe_blocks(law: NamedTuple, work: Workspace, n_split: int) -> int:
     """List also the blocks whose step fails the error test off the nodes; returns how many are listed."""
     block = blocks(work.table)
     for first in range(0, len(work.is_split), WIDTH):
-        accepted = probe(block, first, law)
-        if accepted != ALL:
-            n_split = _split(work, first, accepted, n_split, False)
+        failed = probe(block, first, law)
+        if failed != 0:
+            n_split = _split(work, first, failed, n_split, False)
     return n_split
 
 
@@ -88,7 +98,7 @@ def keep_substeps(work: Workspace, n_substeps: int) -> None:
 def _clear(lanes: Lanes) -> None:
     """Free all lanes, and fill them with harmless numbers."""
     table, in_lanes = lanes.table, blocks(lanes.table)
-    for lane in range(WIDTH):
+    for lane in range(NARROW):
         for row in range(len(table)):
             table[row, lane] = 0.0
         in_lanes.h[lane] = 1.0
@@ -119,7 +129,7 @@ def _enter(work: Workspace, i: int, lane: int, h: float) -> None:
 def _set_lengths(lanes: Lanes, before: Repeated, h: float) -> None:
     """Set the lengths of the next substeps: as in the iteration before, or such that no rest is short."""
     in_lanes = blocks(lanes.table)
-    for lane in range(WIDTH):
+    for lane in range(NARROW):
         in_lanes.done[lane] = 1.0 if lanes.block[lane] < 0 else 0.0
         if lanes.block[lane] >= 0:
             rest = 1.0 - in_lanes.start[lane]
@@ -139,16 +149,16 @@ def _solve(lanes: Lanes, before: Repeated, model: Model) -> None:
     """Take a substep in every lane, with the result of the iteration before as first guess, and test it."""
     in_lanes = blocks(lanes.table)
     prepare(in_lanes, 0, model.law)
-    for lane in range(WIDTH):
+    for lane in range(NARROW):
         if lanes.again[lane] >= 0:
             for k in range(STAGES):
                 in_lanes.u[k, lane] = before.u[lanes.again[lane], 1 + k]
     for _ in range(control.MOST_NEWTON_OF_SUBSTEP):
-        if newton(in_lanes, 0, model.law) == ALL:
+        if newton_of(in_lanes, 0, model.law) == 0:
             break
-    finish(in_lanes, 0, model.law)
-    probe(in_lanes, 0, model.law)
-    for lane in range(WIDTH):
+    finish_of(in_lanes, 0, model.law)
+    probe_of(in_lanes, 0, model.law)
+    for lane in range(NARROW):
         accepted = lanes.block[lane] >= 0 and in_lanes.done[lane] > 0.5 and in_lanes.suspect[lane] < 0.5
         accepted = accepted and in_lanes.error[lane] <= in_lanes.allowed[lane]
         in_lanes.taken[lane] = in_lanes.length[lane] if accepted else 0.0
@@ -230,13 +240,13 @@ def _substep(model: Model, work: Workspace, n_split: int, h: float) -> int:
     n_substeps, n_entered, n_left = 0, 0, n_split
     _clear(lanes)
     while n_left > 0:
-        for lane in range(WIDTH):
+        for lane in range(NARROW):
             if lanes.block[lane] < 0 and n_entered < n_split:
                 _enter(work, work.split[n_entered], lane, h)
                 n_entered += 1
         _set_lengths(lanes, before, h)
         _solve(lanes, before, model)
-        for lane in range(WIDTH):
+        for lane in range(NARROW):
             i = lanes.block[lane]
             if i < 0:
                 continue
