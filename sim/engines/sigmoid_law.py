@@ -1,7 +1,7 @@
 """Friction laws of the sigmoid engine: phi(x) and its derivative, x = (w - v) / delta.
 
 A law is written once, for numbers of `lanes`, and friction is mu phi; phi is odd, and smooth on the scale of 1. A
-kernel is compiled for one law, which the type of its argument names: `Plain`, `Peaked`,
+kernel is compiled for one law, which the type of its argument names: `Peaked`,
 `SetValued`, `Steady`, `Polynomials`, or the kind of a law of `stickslip.sim.systems.weakening`.
 """
 
@@ -16,12 +16,8 @@ from stickslip.sim.numerics.lanes import Lane, absolute, copysign, exponential, 
 from stickslip.sim.systems.weakening import LAW_OF
 
 
-class Plain(NamedTuple):
-    """tanh x."""
-
-
 class Peaked(NamedTuple):
-    """s(tanh x), s(l) = l + c l (1 - l^2): static friction above the kinetic."""
+    """s(tanh x), s(l) = l + c l (1 - l^2): with c > 0 static friction is above the kinetic, with c = 0 it is tanh x."""
 
 
 class SetValued(NamedTuple):

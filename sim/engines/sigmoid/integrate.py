@@ -14,7 +14,7 @@ from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.forcing import Forcing
 from stickslip.sim.engines.frame import frame
 from stickslip.sim.engines.polynomials import Polynomials
-from stickslip.sim.engines.sigmoid_law import Peaked, Plain, Steady
+from stickslip.sim.engines.sigmoid_law import Peaked, Steady
 from stickslip.sim.engines.waveform import control as limits
 from stickslip.sim.engines.waveform.events import PASSES
 from stickslip.sim.engines.waveform.layout import Blocks, Model, Shared, Workspace
@@ -241,7 +241,7 @@ def _law(system: System) -> tuple[NamedTuple, Floats, Floats]:
         If a block without kinetic friction has a static one, or a side that is closed.
     """
     friction, weakening = system.slip_friction[0], system.weakening
-    law: NamedTuple = Peaked() if system.is_static_above else Plain()
+    law: NamedTuple = Peaked()
     if weakening is not None:
         kinds = [kind for kind, known in LAW_OF.items() if known is type(weakening)]
         law = kinds[0]() if kinds else Polynomials.of(weakening.pieces)

@@ -20,12 +20,10 @@ from typing import Any
 from stickslip.sim.engines.sigmoid_law import (
     Law,
     Peaked,
-    Plain,
     SetValued,
     open_sign,
     peaked_sign,
     shape_of,
-    smooth_sign,
 )
 from stickslip.sim.engines.waveform import control
 from stickslip.sim.numerics.lanes import NARROW, Lane, absolute, dot, greater, less, on_rows, total, where
@@ -46,18 +44,11 @@ from stickslip.sim.numerics.radau import (
 
 def _friction(block: Any, law: Law) -> Callable[[Lane], tuple[Lane, Lane]]:
     """The friction law of these blocks."""
-    if law is Plain:
-        return smooth_sign
     c = block.hidden
     if law is Peaked:
         return lambda x: peaked_sign(x, c)
     far, weakening, closed = block.far, block.weakening, block.closed
     return lambda x: open_sign(law, x, c, far, weakening, closed)
-
-
-def _stiff(slope: Lane, law: Law) -> Lane:
-    """The slope of friction where it damps, and zero beyond a peak."""
-    return slope if law is Plain else greater(slope, 0.0)
 
 
 def _largest(values: list[Lane]) -> Lane:
@@ -82,10 +73,9 @@ def _passes_peak(block: Any) -> Lane:
     return (may_leave | comes) & (block.fine < 1.0)
 
 
-def _allowed(block: Any, law: Law) -> Lane:
+def _allowed(block: Any) -> Lane:
     """The error allowed in a step."""
-    tolerance = block.tolerance
-    return tolerance if law is Plain else tolerance * where(_is_near_peak(block), block.fine, 1.0)
+    return block.tolerance * where(_is_near_peak(block), block.fine, 1.0)
 
 
 def _solve(matrix: list[list[Lane | float]], right: list[Lane]) -> None:
@@ -134,8 +124,8 @@ def _newton(block: Any, law: Law) -> Lane:
     out_of_layer = _least(u) * steep - x > control.OUT_OF_LAYER
     if shape_of(law) is not None:  # it has curvature there too
         bend = x * block.weakening
-        out_of_layer = out_of_layer & (h * mu * bend * bend < _allowed(block, law) * control.SOLVED)
-    inside = (x * change < _allowed(block, law) * control.SOLVED) & ((x < control.IN_LAYER) | out_of_layer)
+        out_of_layer = out_of_layer & (h * mu * bend * bend < _allowed(block) * control.SOLVED)
+    inside = (x * change < _allowed(block) * control.SOLVED) & ((x < control.IN_LAYER) | out_of_layer)
     rounding = change < (_largest(u) + absolute(u0) + h * _largest(f)) * control.NEWTON_ROUNDING
     solved = (inside | rounding) & (absolute(finite) < 1e300) | (done > 0.5)
     block.done = where(solved, h * 0.0 + 1.0, 0.0)
@@ -154,7 +144,7 @@ def _finish(block: Any, law: Law) -> Lane:
     u = block.u
     block.z = [z0 + h * (dot(WEIGHTS[k], u) + belt * float(NODES[k])) for k in range(STAGES)]
     error = block.error = _error([x - u0 for x in u], OF_RATE)
-    return (block.done > 0.5) & (error < _allowed(block, law))
+    return (block.done > 0.5) & (error < _allowed(block))
 
 
 def _probe(block: Any, law: Law) -> Lane:
@@ -185,12 +175,11 @@ def _probe(block: Any, law: Law) -> Lane:
         phi, slope = friction(value * steep)
         bent = damping * (value - dot(AT_PLACES[m], u)) + mu * phi
         defect = absolute(h * bent + dot(AT_PLACES[m], pull)) * (1.0 if m > 0 else control.AT_START)
-        error = greater(error, defect / (1.0 + h * (damping + mu * steep * _stiff(slope, law))))
+        error = greater(error, defect / (1.0 + h * (damping + mu * steep * greater(slope, 0.0))))
         most, softest = greater(most, defect), less(softest, slope)
         low, high = less(low, value), greater(high, value)
-    if law is not Plain:
-        at_softest = most / (1.0 + h * (damping + mu * steep * _stiff(softest, law)))
-        error = where(block.peak < 1e300, greater(error, at_softest), error)
+    at_softest = most / (1.0 + h * (damping + mu * steep * greater(softest, 0.0)))
+    error = where(block.peak < 1e300, greater(error, at_softest), error)
     behind = where(u[-1] > 0.0, u0, u0 * -1.0)
     jumped = (behind * steep < control.IN) & (absolute(u[-1]) * steep > control.OUT)
     error = where(jumped, error * block.passed, error)
@@ -199,16 +188,14 @@ def _probe(block: Any, law: Law) -> Lane:
     reach = block.reach
     under = (low * steep - hull_low * steep > 1.0) & (hull_low * steep < reach) & (low * steep > -reach)
     over = (hull_high * steep - high * steep > 1.0) & (hull_high * steep > -reach) & (high * steep < reach)
-    suspect = under | over
-    if law is not Plain:
-        peak = block.peak
-        away = less(absolute(absolute(u0) - peak), absolute(absolute(u[-1]) - peak))
-        allowed = greater(less(peak * control.OF_PEAK, away * control.OF_DISTANCE), peak * block.at_peak)
-        may_hold = block.static > _least(f) * control.ROUNDING
-        comes_near = (low < peak * control.NEAR_PEAK) & (high > peak * -control.NEAR_PEAK)
-        suspect = suspect | (comes_near & (error > allowed) & may_hold)
+    peak = block.peak
+    away = less(absolute(absolute(u0) - peak), absolute(absolute(u[-1]) - peak))
+    allowed = greater(less(peak * control.OF_PEAK, away * control.OF_DISTANCE), peak * block.at_peak)
+    may_hold = block.static > _least(f) * control.ROUNDING
+    comes_near = (low < peak * control.NEAR_PEAK) & (high > peak * -control.NEAR_PEAK)
+    suspect = under | over | (comes_near & (error > allowed) & may_hold)
     block.suspect = where(suspect, h * 0.0 + 1.0, 0.0)
-    may_err = block.allowed = _allowed(block, law)
+    may_err = block.allowed = _allowed(block)
     return (error < may_err) & (where(suspect, h * 0.0 + 1.0, 0.0) < 0.5)
 
 
@@ -221,11 +208,11 @@ def _force(is_change: bool) -> Callable[[Any, Law], None]:
         most = _largest([x - y for x, y in zip(after, before, strict=True)])
         block.f = after
         scale = (greater(block.h, block.lag) if law is SetValued else block.h) / block.tolerance
-        if law not in (Plain, SetValued):
+        tail, noise, of_tail = _error(after), block.noise, scale
+        if law is not SetValued:
             stays = control.SWIFT / greater(_least(after) - block.static, control.SWIFT)
             scale = scale * where(_is_near_peak(block) & (block.fine < 1.0), greater(stays / block.h, 1.0), 1.0)
-        tail, noise = _error(after), block.noise
-        of_tail = scale if law in (Plain, SetValued) else where(_passes_peak(block), scale * block.of_tail, scale)
+            of_tail = where(_passes_peak(block), scale * block.of_tail, scale)
         block.moved = where(most < noise, scale * 0.0, (most - noise) * scale)
         block.tail = where(tail < noise, scale * 0.0, (tail - noise) * of_tail)
 
@@ -310,7 +297,7 @@ def _prepare(block: Any, law: Law) -> None:
 
     phi, slope = _friction(block, law)(u0 * block.steep)
     rate = -(block.damping * u0 + force(start) + block.friction * phi)
-    stiffness = block.damping + block.friction * block.steep * _stiff(slope, law)
+    stiffness = block.damping + block.friction * block.steep * greater(slope, 0.0)
     after = [h * float(NODES[k]) for k in range(STAGES)]
     block.f = [force(start + length * float(NODES[k])) for k in range(STAGES)]
     block.u = [u0 + s * rate / (1.0 + s * stiffness) for s in after]
