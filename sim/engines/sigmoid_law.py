@@ -17,7 +17,7 @@ from stickslip.sim.systems.weakening import LAW_OF
 
 
 class Peaked(NamedTuple):
-    """s(tanh x), s(l) = l + c l (1 - l^2): with c > 0 static friction is above the kinetic, with c = 0 it is tanh x."""
+    """s(tanh x), s(l) = l + c l (1 - l^2): static friction above the kinetic, or equal to it, c = 0."""
 
 
 class SetValued(NamedTuple):

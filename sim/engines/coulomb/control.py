@@ -59,9 +59,6 @@ SHRINK = 0.7
 REACH = 1.2
 #: The weight of older windows in that mean, one window on. 0.8 took up to 4% more products, 0.95 up to 1% fewer.
 DECAY = 0.9
-#: The rest of a window is used if it is more than this share of the mean length. WORTH = 0 took up to 6% fewer
-#: products and up to 28% more steps, 0.3 up to 20% more products.
-WORTH = 0.1
 #: The error that an event carried over may leave out, over the error allowed: the truncation error of a series is
 #: about as far below it. PASSED_ON = 0.0005 took up to 9% more products; 0.01 took up to 9% fewer, with errors up to
 #: 3 times as large.
@@ -133,12 +130,6 @@ class Goal(NamedTuple, Generic[course.Number]):
 def next_window(clock: Floats, remaining: float) -> float:
     """Length of the next window."""
     return min(remaining, REACH * clock[EXPOSURE] / clock[CUTS])
-
-
-@inner
-def is_worth_using(clock: Floats, left: float) -> bool:
-    """Whether the rest of a window is used."""
-    return left > WORTH * clock[EXPOSURE] / clock[CUTS]
 
 
 @inner

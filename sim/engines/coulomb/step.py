@@ -173,7 +173,7 @@ def _carry(
     is_linear = expansion.shape is None and not window.is_slow and model.cross is None
     if block >= 0 and left > 0.0 and is_linear and len(z) >= control.CARRIED:
         h = _pass_event(run, window, block, step, left)
-        is_cut, is_open = window.is_cut or h < left, control.is_worth_using(clock, h)
+        is_cut, is_open = window.is_cut or h < left, h > 0.0
     else:
         evaluate(expansion, v, None, order, step, z, w)
         _on_the_edge(run, 0.0, block, order, step, False)
