@@ -249,13 +249,12 @@ def _slide(block: Any, _: Law) -> Lane:
     u = block.u = [where(sticks, 0.0 * u0, u0 + x) for x in change_of_u]
     block.z = [z0 + h * (dot(WEIGHTS[k], u) + belt * float(NODES[k])) for k in stages]
     error = _error([x - u0 for x in u], OF_RATE)
-    low, high = _bounds([u0, *u])
-    low_force, high_force = _bounds([block.force0, *f])
+    low, high = _bounds([where(sticks, force, x) for force, x in zip([block.force0, *f], [u0, *u], strict=True)])
     block.lag = h * 0.0
     least = less(u[-1] * mode, where(mode > 0.0, low, high * -1.0))
     is_followed = (absolute(drag) < control.SOFT) | (error < block.tolerance * control.COLLOCATED)
     slips_on = (least > absolute(belt) * control.AT_BELT) & is_followed
-    holds = (low_force + static > 0.0) & (high_force - static < 0.0)
+    holds = (low + static > 0.0) & (high - static < 0.0)
     yes, no = h * 0.0 + 1.0, h * 0.0
     return where(sticks, where(holds, yes, no), where(slips_on, yes, no)) > 0.5
 
@@ -264,6 +263,18 @@ def _view(block: Any, _: Law) -> None:
     """Bounds of u and of F on the step."""
     block.low, block.high = _bounds([block.u0, *block.u])
     block.low_force, block.high_force = _bounds([block.force0, *block.f])
+
+
+def _ahead(row: list[Lane], values: list[Lane]) -> Lane:
+    """The value at a node of this step of the polynomial with these at the nodes of the last."""
+    return total([w * x for w, x in zip(row, values, strict=True)])
+
+
+def _stray(block: Any, shared: Any) -> None:
+    """How far z is off its prediction at the nodes, and the sum of the squares."""
+    z, kept = block.z, block.kept_z
+    change = block.change = [x - _ahead(row, kept) for row, x in zip(shared.weights, z, strict=True)]
+    block.error = total([x * x for x in change])
 
 
 def _predict(block: Any, shared: Any) -> None:
@@ -276,12 +287,8 @@ def _predict(block: Any, shared: Any) -> None:
     block.noise = (block.row_sum * shared.size + absolute(block.force0)) * control.ROUNDING
     f, u, u0 = block.kept_f, block.kept_u, block.u0
     leads_nowhere = block.was_split > 0.5  # the polynomial of a block that took substeps
-
-    def ahead(row: list[Lane], values: list[Lane]) -> Lane:
-        return total([w * x for w, x in zip(row, values, strict=True)])
-
-    block.f = [ahead(row, f) for row in weights]
-    block.u = [where(leads_nowhere, u0, ahead(row, u)) for row in weights]
+    block.f = [_ahead(row, f) for row in weights]
+    block.u = [where(leads_nowhere, u0, _ahead(row, u)) for row in weights]
 
 
 def _prepare(block: Any, law: Law) -> None:
@@ -332,7 +339,7 @@ def _gather_u(block: Any, _: Law) -> None:
 
 #: For kernels: on macro steps, and on substeps.
 newton, finish, probe, view = on_rows(_newton), on_rows(_finish), on_rows(_probe), on_rows(_view)
-predict, slide, force, force_changed = map(on_rows, (_predict, _slide, _force(False), _force(True)))
+predict, stray, slide, force, force_changed = map(on_rows, (_predict, _stray, _slide, _force(False), _force(True)))
 prepare, newton_of, finish_of, probe_of, gather, gather_u = (
     on_rows(formula, NARROW) for formula in (_prepare, _newton, _finish, _probe, _gather, _gather_u)
 )

@@ -19,7 +19,7 @@ from stickslip.sim.engines.course import Events, State
 from stickslip.sim.engines.forcing import BELT, DRAG, JUMP, value_at
 from stickslip.sim.engines.frame import Way
 from stickslip.sim.engines.waveform import control as limits
-from stickslip.sim.engines.waveform.collocation import force, force_changed, predict
+from stickslip.sim.engines.waveform.collocation import force, force_changed, predict, stray
 from stickslip.sim.engines.waveform.control import (
     Control,
     Solution,
@@ -136,18 +136,12 @@ def _couple_changed(model: Model, exact: Exact | None, work: Workspace, control:
     if exact is None or len(model.stiffness.single_panels) == 0 or len(work.is_split) < limits.FEWEST:
         return 0
     else:
-        block, weights, n, m = blocks(work.table), shared(work.shared).weights, len(work.is_split), 0
-        change, size = block.change, block.error
-        for k in range(STAGES):
-            for i in range(n):
-                value = block.z[k, i]
-                for j in range(STAGES):
-                    value -= weights[k, j] * block.kept_z[j, i]
-                change[k, i] = value
-                size[i] = value * value + (size[i] if k > 0 else 0.0)
-        least = limits.OFF * math.sqrt(n) * shared(work.shared).atol[0] / (h * largest(block.row_sum[:n]))
+        block, common, n, m = blocks(work.table), shared(work.shared), len(work.is_split), 0
+        for first in range(0, n, WIDTH):
+            stray(block, first, common)
+        least = limits.OFF * math.sqrt(n) * common.atol[0] / (h * largest(block.row_sum[:n]))
         for i in range(n):
-            if size[i] > least * least:
+            if block.error[i] > least * least:
                 work.split[m] = i
                 m += 1
         if m == 0 or m > limits.MOST_OFF * n or not _product_of_change(model, work, control, m, np.inf):
