@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines import course
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.numerics.panels import HEIGHT, SINGLE_HEIGHT, panels
+from stickslip.sim.numerics.panels import HEIGHT, SINGLE_HEIGHT, SUMMED, panels
 from stickslip.sim.systems.once import once_a_system
 from stickslip.sim.systems.system import System
 
@@ -43,14 +43,14 @@ def matrix_of(matrix: Any) -> Matrix:
 def signed_sum(system: System) -> float:
     """The largest row sum of |K| as far as K z has its rounding in single precision, `SINGLE_ERROR` times this.
 
-    A sum in order is off by sqrt(n) / 2 units or so in the last place of itself, or of what signs at random leave of
-    it: 0.35 to 0.6 sqrt(n) units, n = 48 to 3,000.
+    A sum of so many terms, in order, is off by half the root of their number or so, in units in the last place of
+    itself, or of what signs at random leave of it: by 0.1 to 0.4 of the root, n = 48 to 3,000.
     """
     matrix = system.stiffness
     if not isinstance(matrix, np.ndarray):
         return float(system.row_sums.max())  # it has no panels
     size = np.maximum(np.abs(matrix.sum(axis=1)), np.linalg.norm(matrix, axis=1)).max()
-    return float(_OF_ORDER * np.sqrt(system.n) * size)
+    return float(_OF_ORDER * np.sqrt(min(system.n, SUMMED)) * size)
 
 
 NONE = matrix_of(np.empty((0, 0)))
