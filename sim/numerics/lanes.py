@@ -21,9 +21,10 @@ from stickslip.sim.kernels.emit import absolute as absolute
 from stickslip.sim.kernels.emit import copysign as copysign
 from stickslip.sim.kernels.emit import where as where
 
+_FEATURES: str = config.CPU_FEATURES or codegen.get_host_cpu_features()  # type: ignore[attr-defined]
 #: Numbers side by side: four float64 fill a register of AVX2, eight one of AVX-512.
 NARROW = 4
-WIDTH = 8 if "+avx512f" in (config.CPU_FEATURES or codegen.get_host_cpu_features()) else NARROW
+WIDTH = 8 if "+avx512f" in _FEATURES else NARROW
 
 
 def greater(x: Lane, y: Lane | float) -> Lane:
