@@ -81,8 +81,8 @@ def serve() -> None:
         print(json.dumps([least, z.tolist()]), flush=True)
 
 
-def begin(root: Path, patches: list[tuple[str, str, str]]) -> Callable[..., tuple[float, Any]]:
-    """A copy of `sim` with these patches, and a function that asks a process that serves its runs."""
+def begin(root: Path, patches: list[tuple[str, str, str]]) -> Any:
+    """A process that serves runs of a copy of `sim` with these patches, until it is left."""
     here = Path(__file__).parent.parent
     shutil.copytree(here / "stickslip", root / "stickslip")
     (root / "tests").symlink_to(here / "tests")
@@ -91,28 +91,27 @@ def begin(root: Path, patches: list[tuple[str, str, str]]) -> Callable[..., tupl
         assert text in content, (name, text)
         (root / "stickslip" / "sim" / name).write_text(content.replace(text, instead))
     command = [sys.executable, "-c", "from tests.pieces import serve; serve()"]
-    server: Any = subprocess.Popen(command, cwd=root, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    return subprocess.Popen(command, cwd=root, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
-    def ask(*request: object) -> tuple[float, Any]:
-        print(json.dumps(request), file=server.stdin, flush=True)
-        return json.loads(server.stdout.readline())
 
-    return ask
+def ask(server: Any, *request: object) -> tuple[float, Any]:
+    print(json.dumps(request), file=server.stdin, flush=True)
+    return json.loads(server.stdout.readline())
 
 
 def main(seconds: float, words: list[str]) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        whole = begin(Path(folder, "whole"), [])
-        exact = cache(lambda kind, name, n: np.array(whole(name, n, 1e-12 if kind == "smooth" else 1e-13, 0.0)[1]))
+    with tempfile.TemporaryDirectory() as folder, begin(Path(folder, "whole"), []) as whole:
+        exact = cache(lambda kind, *of: np.array(ask(whole, *of, 1e-12 if kind == "smooth" else 1e-13, 0.0)[1]))
         for piece in (piece for piece in PIECES if not words or any(word in piece for word in words)):
             print(piece, flush=True)
-            part = begin(Path(folder, piece), PIECES[piece][1])
-            for kind, name, n, tol in (case for case in CASES if case[0] in PIECES[piece][0]):
-                answers = [[ask(name, n, tol, seconds) for ask in (whole, part)] for _ in range(6)]
-                with_it, without = np.min([[took for took, _ in pair] for pair in answers], axis=0)
-                errors = "".join(f"{np.abs(np.array(z) - exact(kind, name, n)).max():9.1e}" for _, z in answers[0])
-                ratio = without / with_it
-                print(f"  {name:8}{n:5}{tol:7.0e}{1e3 * with_it:9.3f} ms{ratio:6.2f} {errors}", flush=True)
+            kinds, patches = PIECES[piece]
+            with begin(Path(folder, piece), patches) as part:
+                for kind, name, n, tol in (case for case in CASES if case[0] in kinds):
+                    answers = [[ask(it, name, n, tol, seconds) for it in (whole, part)] for _ in range(6)]
+                    took, without = np.min([[least for least, _ in pair] for pair in answers], axis=0)
+                    errors = [np.abs(np.array(z) - exact(kind, name, n)).max() for _, z in answers[0]]
+                    line = f"{name:8}{n:5}{tol:7.0e}{1e3 * took:9.3f} ms{without / took:6.2f}"
+                    print(f"  {line}{errors[0]:9.1e}{errors[1]:9.1e}", flush=True)
 
 
 if __name__ == "__main__":
