@@ -169,17 +169,6 @@ def roots(coefficients: Floats, degree: int, places: Floats) -> int:
 
 
 @inner
-def insert(place: float, marks: Floats, n_marks: int) -> int:
-    """Insert a place among `n_marks` others in rising order; returns how many there are."""
-    k = n_marks
-    while k > 0 and marks[k - 1] > place:
-        marks[k] = marks[k - 1]
-        k -= 1
-    marks[k] = place
-    return n_marks + 1
-
-
-@inner
 def insert_roots(poly: Floats, degree: int, marks: Floats, n_marks: int, places: Floats) -> int:
     """Insert the roots of a polynomial in (0, 1] among `n_marks` places in rising order; returns how many there are.
 
@@ -188,6 +177,11 @@ def insert_roots(poly: Floats, degree: int, marks: Floats, n_marks: int, places:
     skip = 0
     while skip < degree and poly[skip] == 0.0:
         skip += 1
-    for k in range(roots(poly[skip:], degree - skip, places)):
-        n_marks = insert(places[k], marks, n_marks)
+    for j in range(roots(poly[skip:], degree - skip, places)):
+        k = n_marks
+        while k > 0 and marks[k - 1] > places[j]:
+            marks[k] = marks[k - 1]
+            k -= 1
+        marks[k] = places[j]
+        n_marks += 1
     return n_marks

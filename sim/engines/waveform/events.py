@@ -20,7 +20,7 @@ from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import copy, room
 from stickslip.sim.numerics.lanes import WIDTH
 from stickslip.sim.numerics.radau import ALL_NODES, ALL_TO_POWERS, BARYCENTRIC, NODES, STAGES, TO_BERNSTEIN, WEIGHTS
-from stickslip.sim.numerics.roots import horner, insert, insert_roots, refine
+from stickslip.sim.numerics.roots import horner, insert_roots
 
 #: The most crossings of bounds by a block in a step: the roots of eleven polynomials of degree five, and the start.
 PASSES = 11 * STAGES + 1
@@ -89,18 +89,14 @@ def _powers(values: Floats, poly: Floats) -> None:
 @inner
 def _marks(poly: Floats, bernstein: Floats, bound: float, marks: Floats, n_marks: int, places: Floats) -> int:
     """Insert the places in (0, 1] at which a polynomial passes a bound into `marks`, which rise."""
-    above, below, changes = False, False, 0
+    above, below = False, False
     for j in range(STAGES + 1):
         above, below = above or bernstein[j] >= bound, below or bernstein[j] <= bound
-        changes += j > 0 and (bernstein[j] > bound) != (bernstein[j - 1] > bound)
     if not (above and below):
         return n_marks
     at_start = poly[0]
     poly[0] -= bound
-    if changes == 1 and bernstein[0] != bound and bernstein[STAGES] != bound:
-        n_marks = insert(refine(poly, STAGES, 0.0, 1.0, bernstein[0] < bound, 0.5), marks, n_marks)
-    else:
-        n_marks = insert_roots(poly, STAGES, marks, n_marks, places)
+    n_marks = insert_roots(poly, STAGES, marks, n_marks, places)
     poly[0] = at_start
     return n_marks
 
