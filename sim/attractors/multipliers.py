@@ -15,9 +15,9 @@ not matter, unless damping couples one to an exit with m_i > mu_i, which depends
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -25,21 +25,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.numerics.variations import ORDER, carry
+from stickslip.sim.numerics.variations import Course, carried
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.runs.series import EventSeries
 from stickslip.sim.systems.drive import Harmonic
 from stickslip.sim.systems.system import System
 
-#: Terms of the exponential series, of matrices up to this size: the next is 1e-16.
-_TERMS, _SIZE = 13, 0.5
-#: Steps where friction falls with speed, over its fastest rate.
-_STEP = 0.35
+#: Steps over the fastest rate, and where friction falls with speed.
+_LONG_STEP, _STEP = 4.0, 0.35
+#: The longest over which the first term of a series that is left out, of the second order and so on, is rounding.
+_REACH = [(1e-16 * math.factorial(order)) ** (1.0 / order) for order in range(2, 40)]
 #: Nodes of a step, of Gauss; from values there to the coefficients of the polynomial through them.
 _NODES = 0.5 + 0.5 * np.polynomial.legendre.leggauss(5)[0]
 _THROUGH = np.linalg.inv(np.vander(_NODES, increasing=True))
-#: Numbers in matrices that are kept at a time.
-_ROOM = 2**21
+#: Of more equal steps that of one is squared.
+_MOST = 16
 #: How large a motion is at least, for ratios of what it consists of to have all their digits.
 LOST = float(np.finfo(np.float64).tiny / np.finfo(np.float64).eps)
 
@@ -53,27 +53,32 @@ class Follow(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Steps:
-    """Steps from edge to edge, over which friction that falls with speed is resolved."""
+class Spans:
+    """Steps from edge to edge, of blocks that slip: over them motion, and friction, are resolved."""
 
-    segment: NDArray[np.intp]  #: the edge before each, shape (q,)
+    counts: NDArray[np.intp]  #: between edges, shape (m,)
+    squarings: NDArray[np.intp]  #: of what the one step between edges multiplies deviations by, shape (m,)
     length: Floats  #: shape (q,)
+    order: NDArray[np.intp]  #: of their series, shape (q,)
     t: Floats  #: their nodes, shape (q, 5)
 
     @classmethod
-    def of(cls, system: System, edges: Floats, modes: NDArray[np.int8]) -> Steps:
-        """Between edges, from the modes between them: one step where all blocks stick."""
-        assert system.weakening is not None
-        near, far = system.slip_friction
-        rate = system.fastest_rate + system.weakening.steepest * (near - far).max()
+    def of(cls, system: System, edges: Floats, modes: NDArray[np.int8]) -> Spans:
+        """Between edges, from the modes between them."""
+        rate, longest = system.fastest_rate, _LONG_STEP
+        if system.weakening is not None:
+            near, far = system.slip_friction
+            rate, longest = rate + system.weakening.steepest * (near - far).max(), _STEP
         lengths = np.diff(edges)
-        counts = np.where(modes.any(axis=1), np.ceil(lengths * (rate / _STEP)), 1.0)
-        counts = np.maximum(counts, 1.0).astype(np.intp)
-        segment = np.repeat(np.arange(len(lengths)), counts)
-        length = (lengths / counts)[segment]
-        number = np.arange(len(segment)) - np.repeat(np.cumsum(counts) - counts, counts)
-        since = edges[segment] + number * length
-        return cls(segment, length, since[:, None] + length[:, None] * _NODES)
+        counts = (np.maximum(np.ceil(lengths * (rate / longest)), 1.0) * modes.any(axis=1)).astype(np.intp)
+        squarings = np.zeros(len(counts), dtype=np.intp)
+        if system.weakening is None and (is_long := counts > _MOST).any():
+            squarings[is_long], counts[is_long] = np.ceil(np.log2(counts[is_long])), 1
+        length = np.ldexp(lengths / np.maximum(counts, 1), -squarings).repeat(counts)
+        number = np.arange(len(length)) - (np.cumsum(counts) - counts).repeat(counts)
+        since = edges[:-1].repeat(counts) + number * length
+        order = np.searchsorted(_REACH, rate * length) + 1
+        return cls(counts, squarings, length, order, since[:, None] + length[:, None] * _NODES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +90,9 @@ class Path:
     states: Samples  #: at the m + 1 edges
     middle: Samples  #: and half way between them
     block: NDArray[np.int32]  #: of the event at each edge but the last, shape (m,); empty: there are none
-    steps: Steps | None  #: between them, where friction falls with speed
-    slip: Floats  #: w - v at the nodes of the steps, shape (q, 5, n)
+    spans: Spans  #: between them
+    slip: Floats  #: w - v at the nodes of the steps, shape (q, 5, n), where friction falls with speed; else none
+    _extents: dict[bytes, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, system: System, events: EventSeries, edges: Floats, follow: Callable[[Floats], Samples]) -> Path:
@@ -95,28 +101,31 @@ class Path:
         modes = np.repeat(events.initial_mode[np.newaxis], m + 1, axis=0)
         for k, (block, mode) in enumerate(zip(events.block[:m].tolist(), events.mode[:m].tolist(), strict=True)):
             modes[k + 1 :, block] = mode
-        steps = None if system.weakening is None else Steps.of(unit, edges, modes[1:])
+        spans = Spans.of(unit, edges, modes[1:])
         middle = 0.5 * (edges[1:] + edges[:-1])
-        times = np.concatenate([edges, middle, *([] if steps is None else [steps.t.ravel()])])
+        times = np.concatenate([edges, middle, spans.t[: 0 if system.weakening is None else None].ravel()])
         order = np.argsort(times, kind="stable")
         samples, place = follow(times[order]), np.argsort(order, kind="stable")
         z, w = samples.z[place], samples.w[place]
         slip = (w[2 * m + 1 :] - system.belt_speed_at(edges[0])).reshape(-1, len(_NODES), system.n)
         states, halfway = (Samples(times[part], z[part], w[part]) for part in (slice(m + 1), slice(m + 1, 2 * m + 1)))
-        return cls(unit, modes, states, halfway, events.block[:m], steps, slip)
+        return cls(unit, modes, states, halfway, events.block[:m], spans, slip)
 
     def extent(self, drift: Floats) -> float:
         """How large the motion is, but for a drift at a steady speed.
 
         The largest of: how far states lie from the first, and z' and w' over the fastest rate.
         """
+        if (known := self._extents.get(drift.tobytes())) is not None:
+            return known
         one, other = self.states, self.middle
         t, z, w = np.append(one.t, other.t), np.concatenate([one.z, other.z]), np.concatenate([one.w, other.w])
         steady = drift / (self.states.t[-1] - t[0])
         apart = z - z[0] - np.outer(t - t[0], steady), w - w[0]
         fastest = self.system.fastest_rate or 1.0
         sizes = (*apart, (w - steady) / fastest, self._slip_rates / fastest)
-        return float(max(np.abs(size).max() for size in sizes))
+        self._extents[drift.tobytes()] = extent = float(max(np.abs(size).max() for size in sizes))
+        return extent
 
     def missed(self, drift: Floats) -> Floats:
         """By what the last state misses the first, but for a drift, shape (2n,)."""
@@ -135,7 +144,7 @@ class Path:
         for k, i in enumerate(self.block.tolist()):
             is_jump = self.modes[k, i] == 0 and s.static[i] > s.slip_friction[0][i]
             others = self.block[np.abs(self.states.t[: len(self.block)] - self.states.t[k]) <= at_once]
-            if is_jump and _row(cross, i)[others].any():
+            if is_jump and (abs(cross) @ np.isin(np.arange(s.n), others))[i] > 0.0:
                 return False
         return True
 
@@ -144,15 +153,33 @@ class Path:
 
         Shape (2n, 2n). Where no force depends on time, they are taken there when the first event comes back.
         """
-        n = self.system.n
-        moved = np.identity(2 * n)
-        moved[n:][self.modes[0] == 0] = 0.0
-        for k in self._edges(moved):
-            self._pass(k, moved)
-        if not is_forced:
-            self._onto_section(0, moved)
-        moved[n:][self.modes[0] == 0] = 0.0
-        return moved
+        n, spans, slips, is_long = self.system.n, self.spans, self.modes[1:] != 0, self.spans.squarings > 0
+        pull, drags = self.system.slip_matrix()[n:], np.zeros((len(spans.t), len(_NODES) if len(self.slip) else 1, n))
+        np.fill_diagonal(pull[:, n:], 0.0)
+        drags[:, 0] = self.system.damping
+        if len(self.slip):
+            drags += _THROUGH @ self.system.kinetic_slope(self.slip)
+        blocks, first = np.argsort(~slips, axis=1, kind="stable"), spans.counts.cumsum() - spans.counts
+        of_stays = first, np.where(is_long, 0, spans.counts), slips.sum(axis=1), blocks
+        course = Course(*self._events, *of_stays, spans.length, spans.order, drags)
+        one_step = course._replace(block=np.full(len(slips), -1), counts=spans.counts)
+        is_free, start = np.append(np.full(n, True), self.modes[0] != 0), 0
+        moved = np.identity(2 * n)[:, is_free]
+        for k in np.flatnonzero(is_long).tolist():
+            moved, start = carried(moved, pull, course, start, k + 1), k + 1
+            flow = carried(np.identity(2 * n), pull, one_step, k, k + 1)
+            moved = np.linalg.matrix_power(flow, 2 ** int(spans.squarings[k])) @ moved
+        moved = carried(moved, pull, course, start, len(slips))
+        if not is_forced:  # shift each in time until the first event is when it was
+            block = int(self.block[0])
+            if self.modes[0, block] == 0:
+                late = pull[block] @ moved / -self._loads[0, block]
+            else:
+                late = moved[n + block] / self._slip_rates[0, block]
+            moved -= np.append(self.states.w[0], self._slip_rates[0])[:, np.newaxis] * late
+        whole = np.zeros((2 * n, 2 * n))
+        whole[np.ix_(is_free, is_free)] = moved[is_free]
+        return whole
 
     # ------------------------------------------------------------------------------------------ events
 
@@ -160,11 +187,6 @@ class Path:
     def _slip_rates(self) -> Floats:
         """w' before each edge, shape (m + 1, n)."""
         return slip_rates(self.system, self.states, self.modes)
-
-    @cached_property
-    def _motion(self) -> Floats:
-        """(z', w') before each edge, shape (m + 1, 2n, 1)."""
-        return np.concatenate([self.states.w, self._slip_rates], axis=1)[:, :, np.newaxis]
 
     @cached_property
     def _loads(self) -> Floats:
@@ -176,63 +198,18 @@ class Path:
                 loads = loads - rate.at(self.states.t)
         return np.asarray(loads)
 
-    @cached_property
-    def _rows(self) -> dict[int, Floats]:
-        """(K_i, N_i), the gradient of F_i, of each block with an event, shape (2n,)."""
-        k, cross = self.system.stiffness, self.system.cross_damping
-        none = np.zeros(self.system.n)
-        return {
-            i: np.append(_row(k, i), none if cross is None else _row(cross, i))
-            for i in np.unique(self.block).tolist()
-        }
-
-    def _pass(self, k: int, moved: Floats) -> None:
-        """Multiply deviations, the columns of an array, by the saltation matrix of the event at an edge, in place."""
-        if len(self.block) == 0:
-            return
-        s, i = self.system, int(self.block[k])
-        before, after, row = int(self.modes[k, i]), int(self.modes[k + 1, i]), moved[s.n + i]
-        if after == 0:
-            row[:] = 0.0
-        elif before == 0:
-            drop = s.static[i] - s.slip_friction[0][i]
-            row[:] = after * drop / self._loads[k, i] * (self._rows[i] @ moved) if drop > 0.0 else 0.0
-        else:
-            row *= 1.0 + s.slip_friction[0][i] * (before - after) / self._slip_rates[k, i]
-
-    def _onto_section(self, k: int, moved: Floats) -> None:
-        """Shift deviations in time, in place, until each has the event at an edge at the time of that edge."""
-        n, i = self.system.n, int(self.block[k])
-        if self.modes[k, i] == 0:
-            late = self._rows[i] @ moved / self._loads[k, i]
-        else:
-            late = moved[n + i] / self._slip_rates[k, i]
-        moved -= self._motion[k] * late
-
-    # ------------------------------------------------------------------------------------------ between events
-
-    def _edges(self, moved: Floats) -> Iterator[int]:
-        """Each edge but the last; from there deviations are carried to the next, in place, when that is asked for."""
-        n, m, lengths, matrix = self.system.n, len(self.states) - 1, np.diff(self.states.t), self.system.slip_matrix()
-        if (steps := self.steps) is None:
-            at_a_time = max(_ROOM // (4 * n * n), 1)
-            for first in range(0, m, at_a_time):
-                part = slice(first, first + at_a_time)
-                flows = exponential(_held(matrix, self.modes[1:][part]) * lengths[part, None, None])
-                for k, flow in enumerate(flows, first):
-                    yield k
-                    moved[:] = flow @ moved
-            return
-        drags, slips = _THROUGH @ self.system.kinetic_slope(self.slip), self.modes[1:][steps.segment] != 0
-        first_steps, series = np.searchsorted(steps.segment, np.arange(m + 1)), np.empty((ORDER + 1, *moved.shape))
-        for k, (first, last) in enumerate(itertools.pairwise(first_steps.tolist())):
-            yield k
-            carry(matrix[n:], drags[first:last], slips[first:last], steps.length[first:last], moved, series)
-
-
-def _row(matrix: Any, i: int) -> Floats:
-    """Row i of a dense or sparse matrix, shape (n,)."""
-    return np.asarray(matrix[i] if isinstance(matrix, np.ndarray) else matrix[[i]].toarray()[0])
+    @property
+    def _events(self) -> tuple[NDArray[np.int64], Floats, NDArray[np.bool_]]:
+        """The block of the event at each edge, -1 if it has none, and its factor; whether that is of F: an exit."""
+        if not len(self.block):
+            return np.array([-1]), np.zeros(1), np.array([False])
+        s, block, at = self.system, self.block.astype(np.int64), (np.arange(len(self.block)), self.block)
+        before, after, near = self.modes[:-1][at], self.modes[1:][at], s.slip_friction[0][block]
+        is_exit = before == 0
+        change = np.where(is_exit, after * (s.static[block] - near), near * (before - after)) * (after != 0)
+        rate = np.where(is_exit, -self._loads[at], self._slip_rates[at])
+        factor = np.divide(change, rate, out=np.zeros(len(block)), where=change != 0.0)
+        return block, factor + (before * after != 0), is_exit
 
 
 def slip_rates(system: System, states: Samples, modes: NDArray[np.int8]) -> Floats:
@@ -253,29 +230,3 @@ def largest(monodromy: Floats, free: Any) -> float:
     across, n = monodromy.copy(), free.shape[0]
     across[:n] -= free @ (free.T @ across[:n])
     return float(np.abs(np.linalg.eigvals(across)).max())
-
-
-def exponential(matrices: Floats) -> Floats:
-    """exp of each matrix of a stack, shape (m, k, k), by its series, scaled and squared.
-
-    Much faster than one by one, for many small ones; those of dissipative systems stay below one, and lose little.
-    """
-    sizes = np.abs(matrices).sum(axis=2).max(axis=1, initial=_SIZE)
-    squarings = np.ceil(np.log2(sizes / _SIZE)).astype(int)
-    small = np.ldexp(matrices, -squarings[:, None, None])
-    total = term = np.broadcast_to(np.identity(matrices.shape[1]), matrices.shape)
-    for k in range(1, _TERMS + 1):
-        term = term @ small / k
-        total = total + term
-    for k in range(squarings.max(initial=0)):  # of each as often as it takes: squaring doubles its rounding
-        more = squarings > k
-        total[more] = total[more] @ total[more]
-    return total
-
-
-def _held(matrix: Floats, modes: NDArray[np.int8]) -> Floats:
-    """A where blocks with mode 0 stick, for rows of modes (m, n), shape (m, 2n, 2n)."""
-    n = modes.shape[1]
-    matrices = np.repeat(matrix[np.newaxis], len(modes), axis=0)
-    matrices[:, n:][modes == 0] = 0.0
-    return matrices

@@ -14,9 +14,11 @@ from stickslip.sim import Harmonic, Piecewise, Rational, Stribeck, System, simul
 from stickslip.sim.attractors import attractor, same_cycle
 from stickslip.sim.attractors.growth import _of as rate_of
 from stickslip.sim.attractors.growth import growth
-from stickslip.sim.attractors.multipliers import exponential
+from stickslip.sim.attractors.multipliers import Path
 from stickslip.sim.attractors.null_space import null_space
 from stickslip.sim.engines.certificates import steady_sliding
+from stickslip.sim.runs.run import Samples
+from stickslip.sim.runs.series import EventSeries
 from stickslip.workflows.gallery.field import two_blocks
 from stickslip.workflows.gallery.field.forced import Forced, most_friction, shape, sliding_cycle
 from stickslip.workflows.gallery.field.one_block import period
@@ -190,12 +192,22 @@ def test_bad_input_is_refused_by_name(of, settings, error, words):
         attractor(run, system if of == 1 else System(np.eye(2), 0.0), **settings)
 
 
-def test_the_exponential_of_many_matrices_is_that_of_each(rng):
-    matrices = rng.normal(size=(50, 6, 6)) * rng.uniform(0, 5, (50, 1, 1))
-    long = [[[-1e6, 0.0], [0.0, -1.0]]]
-    for some in (matrices, np.concatenate([rng.normal(size=(50, 2, 2)), long])):  # one long flow spoils no short one
-        for one, computed in zip(some, exponential(some), strict=True):
-            np.testing.assert_allclose(computed, expm(one), rtol=0, atol=1e-11 * np.abs(expm(one)).max())
+@pytest.mark.parametrize("length", [0.01, 3.0, 1e3])
+def test_deviations_between_events_are_those_of_the_exponential(rng, length):
+    """Over a short stay and a long one, of which one step is squared; some blocks stick, others damp each other."""
+    for n in (1, 3, 13):
+        cross = rng.uniform(-0.1, 0.1, (n, n))
+        system = System(np.diag(rng.uniform(1, 2, n)) + cross, 0.3 * np.identity(n) + cross.T / 2, 0.0)
+        slips = rng.random(n) < 0.7
+        none = np.empty(0)
+        events = EventSeries(none, none.astype(np.int32), none.astype(np.int8), slips.astype(np.int8), 0.0, length)
+        edges = np.array([0.0, length])
+        path = Path.of(system, events, edges, lambda t, n=n: Samples(t, *np.zeros((2, len(t), n))))
+        matrix = system.slip_matrix()
+        matrix[n:][~slips] = 0.0
+        moving = np.append(np.full(n, True), slips)
+        expected = expm(length * matrix) * np.outer(moving, moving)
+        np.testing.assert_allclose(path.monodromy(is_forced=True), expected, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("unit", [1e6, 1e-8])
