@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings, Study
-from stickslip.analysis.contrast import Contrast, Statistic
-from stickslip.analysis.findings.finding import Lack, Outcomes, Reason, Verdict
+from stickslip.analysis.contrast import Contrast, Share, Statistic
+from stickslip.analysis.findings.finding import Lack, Outcomes, Reason, Scale, Verdict
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.outcomes import differences, forest
 from stickslip.analysis.questions.runs.changes import answer
@@ -159,5 +159,11 @@ def test_the_axis_holds_all_differences_and_the_interval_of_one_may_go_on_beyond
     assert 150.0 < ax.get_xlim()[1] < 350.0
     assert (near.get_xdata().tolist(), near.get_markerfacecolor()) == ([2.0], "white")
     assert (shown.get_xdata().tolist(), shown.get_markerfacecolor()) == ([20.0], EXACT)
+    assert ax.get_xlabel() == "difference in %"
+    share = {"statistic": Share("share", ratio), "scale": Scale.ABSOLUTE}
+    of_share = [replace(row, contrast=replace(row.contrast, **share)) for row in rows[:2]]
+    assert list(forest(None, [*rows[:2], of_share[0]], "differences")) == ["contrasts"], "one mark is no figure"
+    (ax,) = forest(None, [*rows, *of_share], "differences")["contrasts_of_shares"].recipe().axes
+    assert ax.get_xlabel() == "difference in percentage points"
     assert forest(None, rows, "differences")["contrasts"].caption.startswith("Filled marks are significant")
     assert forest(None, rows[:2], "differences")["contrasts"].caption.startswith("There are no significant")
