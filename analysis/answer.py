@@ -118,6 +118,7 @@ _REASONS = {
     enough.FEW_MATRICES: Reason.FEW_UNITS,
     enough.FEW_CASCADES: Reason.FEW_CASCADES,
     enough.DRIFTS: Reason.DRIFT,
+    enough.FEW_BLOCKS: Reason.FEW_BLOCKS,
 }
 
 

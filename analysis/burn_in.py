@@ -33,7 +33,7 @@ BEFORE, AFTER = (0.0, 0.5), (0.125, 0.25, 0.5)
 #: The least shift of the mean that its digits show, in half-widths of its interval.
 SHOWS, UNSEEN = 0.05, "less than the mean's digits show"
 MOST_RUNS = 200  # of which estimates are made again
-EPISODES, MEAN = "rate of episodes", "mean number of sticking blocks"
+MEAN = "mean number of sticking blocks"
 
 
 class Tested(NamedTuple):
@@ -96,7 +96,7 @@ def geweke(study: Study, groups: Sequence[Group]) -> list[Tested]:
 
 
 def estimates(study: Study, group: Group) -> list[AtBurn]:
-    """Mean n_stick, or the rate of episodes, of the first runs of a group with several t_burn."""
+    """Mean n_stick of the first runs of a group with several t_burn."""
     level, t_burn, t_end = study.settings.confidence, study.settings.t_burn, float(group.key["t_end"])
     members = averaged(study, group)[:MOST_RUNS]
     later = (t_burn + share * (t_end - t_burn) for share in AFTER)
@@ -105,12 +105,9 @@ def estimates(study: Study, group: Group) -> list[AtBurn]:
     rows = []
     for k, time in enumerate(times):
         _, p_value, _ = _early(_by_unit(study, members, means[:, k, 1:]), level)
-        quantity, values = MEAN, means[:, k, 0]
-        if study.data.episodes is not None:
-            quantity, values = EPISODES, _episodes(study, members, time) / (t_end - time)
-        sums = _by_unit(study, members, values[:, np.newaxis])
+        sums = _by_unit(study, members, means[:, k, :1])
         value = within(over_matrices(ratio, sums, level), 0.0)
-        rows.append(AtBurn(group.label, time, time == t_burn, quantity, len(sums), value, p_value))
+        rows.append(AtBurn(group.label, time, time == t_burn, MEAN, len(sums), value, p_value))
     return rows
 
 
@@ -159,14 +156,6 @@ def _of_runs(t_burns: Sequence[float], runs: Runs, ended: Ended) -> np.ndarray:
             means[places, k] = np.column_stack([window.mean, early_and_late(window, ended.period[places])])
         n_done += len(stack)
     return means.reshape(len(ended), -1)
-
-
-def _episodes(study: Study, members: np.ndarray, t_burn: float) -> np.ndarray:
-    """Number of episodes of some members that begin at t_burn or later."""
-    episodes = study.data.episodes
-    assert episodes is not None
-    late = episodes.loc[episodes["start"] >= t_burn, "member_id"].value_counts()
-    return late.reindex(study.data.table.own["member_id"].iloc[members], fill_value=0).to_numpy(np.float64)
 
 
 @panel()

@@ -223,9 +223,11 @@ class Group:
         return within(over_matrices(ratio, self.by_unit("mean", "runs"), confidence), 0.0)
 
     def basis(self, confidence: float) -> enough.Basis:
-        """Whether a statistic that assumes a stationary law may be judged."""
+        """Whether a statistic that assumes a stationary law may be judged: any law fits cascades of two sizes."""
         n_cascades = int(self.of("cascades").sum())
-        return enough.basis(self.by_unit("first_half", "second_half", "variance"), n_cascades, confidence)
+        basis = enough.basis(self.by_unit("first_half", "second_half", "variance"), n_cascades, confidence)
+        is_of_few = self.counts.shape[1] < 3 and basis.code in (*enough.JUDGED, enough.DRIFTS)
+        return replace(basis, code=enough.FEW_BLOCKS) if is_of_few else basis
 
 
 def groups(members: Members, some: np.ndarray) -> list[Group]:

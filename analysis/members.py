@@ -87,7 +87,7 @@ class Members:
         One row a member, numbered from 0 on, so that what is found of them can be told by their number: all columns
         but those of `SHARED`, and `setting`, the place of its setting; `unit` and `base`, as of `Coordinates`;
         `growth_rate`, null where friction depends on the speed of slip; `z_start` and `w_start`, the start of every
-        block, null where blocks differ.
+        block, null where blocks differ; `system`, what one from a file is called.
     settings : list of dict
         The values of `SHARED`, None for null, and of `POINT`. Where files are the units, `file` and `kappa`, the
         scale of a file's K, are None, and so are `z0` and `w0` where they are drawn.
@@ -134,6 +134,12 @@ class Members:
     def at(self, rows: np.ndarray) -> Members:
         """Some of them, by their rows, whose numbers they keep."""
         return replace(self, own=self.own.iloc[rows])
+
+    def unit_of(self, member_id: str) -> str:
+        """What the independent unit of a member is called: by its file, or else by its number."""
+        member = self.own.iloc[self.row_of[member_id]]
+        is_of_file = "system" in member and self.settings[member["setting"]]["unit_is"] is not Unit.START
+        return str(member["system" if is_of_file else "unit"])
 
     @property
     def together(self) -> pd.DataFrame:

@@ -25,7 +25,7 @@ def write(dataset: Where, out: str | os.PathLike[str]) -> None:
     opened = open_dataset(dataset)
     design = opened.design
     events = query.clusters(opened) if opened.scene.record.clusters else query.episodes(opened)
-    keys = ["n", "seed", "engine", *(key for axis in design.axes for key in axis.keys)]
+    keys = ["n", "file", "seed", "engine", *(key for axis in design.axes for key in axis.keys)]
     keys += [name for method in design.methods for name, _ in method.settings]
     scalars = query.scalar_names(opened)
     known = [key for key in dict.fromkeys(keys) if key in scalars]

@@ -42,6 +42,7 @@ from stickslip.pipeline.query import (
     series,
 )
 from stickslip.pipeline.scene.columns import DESIGN
+from stickslip.pipeline.scene.systems import SystemFile
 from stickslip.sim.runs.run import Samples
 from stickslip.sim.runs.series import EventSeries
 from stickslip.version import __version__
@@ -78,6 +79,7 @@ def _data(opened: Opened, whole: bool = False, at_once: bool = False) -> Data:
     values, problems = {column.name: list[np.ndarray]() for column in columns_kept}, dict[str, dict[str, str]]()
     by_users = () if scene.own_record is None else scene.own_record.kept
     all_of_users = ",".join(column.name for column in by_users)
+    systems = _systems(scene)
 
     def prepared(frame: pd.DataFrame, coordinates: Coordinates) -> pd.DataFrame:
         for name, columns in values.items():
@@ -93,6 +95,8 @@ def _data(opened: Opened, whole: bool = False, at_once: bool = False) -> Data:
             for member_id, why, names in zip(failed["member_id"], failed["own_problem"], lost, strict=True):
                 for name in names.split(","):
                     problems.setdefault(name, {})[member_id] = printable(why)
+        if systems:
+            frame["system"] = [systems[of_file] for of_file in zip(frame["file"], frame["matrix"], strict=True)]
         return _prepared(scene, frame).assign(**coordinates._asdict())
 
     columns = (column for record in scene.records for column in record.columns)
@@ -151,6 +155,17 @@ def _again(opened: Opened, member_id: str, since: float, n: int) -> tuple[EventS
     return replace(scaled, unit=opened.scene.unit_names.time), Samples(
         states.t * time, states.z * length, states.w * speed
     )
+
+
+def _systems(scene: Scene) -> dict[tuple[str, int], str]:
+    """What systems from files are called, by file and number: by the file, and the draw if there are several."""
+    files = [origin for _, origin in scene.sources if isinstance(origin, SystemFile)]
+    draws = range(scene.run.matrices)
+    return {
+        (file.name, file.matrix(k)): printable(file.name) + f", draw {k}" * (len(draws) > 1)
+        for file in files
+        for k in draws
+    }
 
 
 def _prepared(scene: Scene, table: pd.DataFrame) -> pd.DataFrame:

@@ -534,6 +534,7 @@ class Reason(StrEnum):
 
     FEW_UNITS = "too few independent units for an interval"
     FEW_CASCADES = "too few cascades"
+    FEW_BLOCKS = "no cascade has more than two blocks"
     FEW_EPISODES = "too few episodes"
     FEW_EVENTS = "too few events"
     DRIFT = "no steady state"

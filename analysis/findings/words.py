@@ -531,14 +531,14 @@ def _parts(sum_of: Parts) -> Clauses:
     """What the last part does, and the others together."""
     total, *smaller, largest = sum_of.whole, *sum_of.parts
     form = total.quantity.form
-    name, subject = largest.quantity.name, f"{sum_of.subject or total.quantity.name}{total.where.tail}"
+    head, name, subject = total.where.head, largest.quantity.name, sum_of.subject or total.quantity.name
     value, low, high = largest.estimate.value, largest.estimate.low, largest.estimate.high
     assert value is not None
     if low is not None and high is not None and low <= 0.0 <= high:
-        words = f"no effect of {name} on the {subject} is shown ({span(low, high, form, sign=True)})"
+        words = f"{head}no effect of {name} on the {subject} is shown ({span(low, high, form, sign=True)})"
     else:
         amount = with_interval(_without_sign(largest.estimate), form)
-        words = f"{name} {'raises' if value > 0.0 else 'lowers'} the {subject} by {amount}"
+        words = f"{head}{name} {'raises' if value > 0.0 else 'lowers'} the {subject} by {amount}"
     others = [level.quantity.name for level in smaller]
     verb = f"{'together' * (len(others) > 1)} contribute{'s' * (len(others) == 1)}".strip()
     return words, f"{listed(others)} {verb} {with_interval(sum_of.rest, form, sign=True)}"

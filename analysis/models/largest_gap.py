@@ -46,9 +46,9 @@ def largest_gap(pairs: Pairs, confidence: float, rng: np.random.Generator) -> Di
 
     A system with m and m' values has the weight w = m m' / (m + m'), which is optimal for a difference of two means
     and does not change when the two are swapped. The gap is the largest at any jump; it is tested at `POINTS`
-    quantiles. The lower end of the interval is the largest gap there minus the 1 - alpha quantile of the largest
-    error, from swaps of the systems' deviations from their mean. The upper end is the largest of the one-sided bounds
-    of the gap at each jump.
+    quantiles. The lower end of the interval is the largest gap there minus the 1 - alpha / 2 quantile of the largest
+    error, from swaps of the systems' deviations from their mean. The upper end is the largest of those of the gap at
+    each jump.
 
     Parameters
     ----------
@@ -105,11 +105,11 @@ def distance(
     swapped = np.abs(signs @ shares[:, :n_tested]).max(axis=1)
     p_different, gap = flips.p_value(swapped, p_floor), float(np.abs(observed).max())
     error = np.sqrt((off**2).sum(axis=0))
-    high = float(np.max(np.abs(observed) + student.quantile(confidence, n - 1) * error))
+    high = float(np.max(np.abs(observed) + student.half_width(confidence, n - 1) * error))
     low = 0.0
     if p_different < 1 - confidence:
         errors = np.abs(signs[1:] @ off[:, :n_tested]).max(axis=1)
-        low = max(float(swapped[0] - np.quantile(errors, confidence)), 0.0)
+        low = max(float(swapped[0] - np.quantile(errors, (1 + confidence) / 2)), 0.0)
     return Difference(Estimate(gap, low, min(high, 1.0)), p_different, p_floor)
 
 

@@ -11,8 +11,8 @@ from stickslip.analysis.series.windows import Windows
 from stickslip.analysis.stats.compare import Compared
 from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined, jackknife
 
-CODES = ("enough", "few matrices", "few cascades", "drifts", "drift unknown")
-ENOUGH, FEW_MATRICES, FEW_CASCADES, DRIFTS, DRIFT_UNKNOWN = CODES
+CODES = ("enough", "few matrices", "few cascades", "drifts", "drift unknown", "few blocks")
+ENOUGH, FEW_MATRICES, FEW_CASCADES, DRIFTS, DRIFT_UNKNOWN, FEW_BLOCKS = CODES
 JUDGED = (ENOUGH, DRIFT_UNKNOWN)
 LEAST_MATRICES = 4  # with fewer, a jackknife-t interval has two degrees of freedom or less; from 4 on it covers
 LEAST_CASCADES = 200  # in all runs: gamma is then known to about a tenth
@@ -28,7 +28,7 @@ class Basis:
     Attributes
     ----------
     code : str
-        The first of `CODES` after `ENOUGH` that applies, else `ENOUGH`.
+        The first of `CODES` after `ENOUGH` that applies, else `ENOUGH`; the last one is set by `Group.basis`.
     n_matrices, n_cascades : int
     drift : Estimate
         Mean n_stick of the second half of the window minus that of the first, in standard deviations of n_stick in

@@ -123,7 +123,7 @@ def test_coupling_is_told_by_the_number_of_blocks(planted, rng):
             sum(each[name].value for name in ("finite_size", "own_dynamics", "coupling"))
         )
     assert re.fullmatch(
-        r"Coupling raises the decay rate at n = 40 by [0-9.]+% \([0-9.]+ to [0-9.]+%\)\. Finite size and each "
+        r"At n = 40, coupling raises the decay rate by [0-9.]+% \([0-9.]+ to [0-9.]+%\)\. Finite size and each "
         r"block's own dynamics together contribute [+\u2212][0-9.]+% \([+\u2212][0-9.]+ to [+\u2212][0-9.]+%\)\.",
         sentence(sums[0]),
     )

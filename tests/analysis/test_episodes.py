@@ -568,7 +568,9 @@ def test_slip_stored_strain_and_creep_are_all_of_the_travel(rng, carried):
     assert QUANTITIES[SLIP].sums(unknown) == QUANTITIES[SLIP].sums(run)
 
 
-@pytest.mark.parametrize(("creep", "words"), [(0.0, "at most 1.0 \u00d7 10\u207b\u2077%."), (0.1, ": 10.0% in all 12 systems.")])
+@pytest.mark.parametrize(
+    ("creep", "words"), [(0.0, "at most 1.0 \u00d7 10\u207b\u2077%."), (0.1, ": 10.0% in all 12 systems.")]
+)
 def test_creep_that_is_rounding_is_a_limit(planted_episodes, planted, settings, creep, words):
     """Blocks are carried as far as the belt, but for their slip and a planted share of creep."""
     data = planted_episodes(EXACT | {"sigmoid": (planted.sigmoid, 1.0)})

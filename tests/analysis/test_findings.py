@@ -168,7 +168,7 @@ def test_sentences():
     ]
     rest = Estimate(-0.012, -0.014, -0.010)
     assert sentence(Parts(Level(excess, Estimate(0.009, 0.006, 0.012), Place.key("n", "5")), (*parts,), rest)) == (
-        "Pull raises the excess at n = 5 by 2.10% (1.80 to 2.40%); noise contributes"
+        "At n = 5, pull raises the excess by 2.10% (1.80 to 2.40%); noise contributes"
         " \u22121.20% (\u22121.40 to \u22121.00%)."
     )
     parts[:1] = [Level(Quantity(name, name), Estimate(value)) for name, value in (("noise", -0.012), ("size", 0.013))]

@@ -38,7 +38,7 @@ def test_values_at_which_many_are_equal_count_as_below(rng):
 def test_the_upper_end_of_one_difference_is_students(rng):
     shifts = rng.normal(1.0, 0.1, 9)
     found = distance(0.3 * shifts[:, None] / 9, np.full(9, 1 / 9), 0.95, rng)
-    known = 0.3 * (shifts.mean() + stats.t(8).isf(0.05) * stats.sem(shifts))
+    known = 0.3 * (shifts.mean() + stats.t(8).isf(0.025) * stats.sem(shifts))
     assert found.size.high == pytest.approx(known)
 
 

@@ -172,7 +172,10 @@ def test_too_little_data_has_reasons(planted, settings, rng):
     assert lack(scarce) is Reason.FEW_CASCADES
     (rate,) = of_windows(scarce, ("gamma",))  # nor is it compared
     assert rate.of(scarce.groups[0]).withheld == enough.FEW_CASCADES
-    assert lack(study_of(planted, settings, np.array([1.0]), rng)) is Reason.ONE_VALUE
+    for shares in ([1.0], [0.6, 0.4]):  # as of two blocks with friction, whatever others are there
+        study = study_of(planted, settings, np.array(shares), rng)
+        assert lack(study) is Reason.FEW_BLOCKS
+        assert rate.of(study.groups[0]).withheld == enough.FEW_BLOCKS
     still = {name: (np.array([0.0]), np.array([0])) for name in planted.ensemble({"coulomb": 0.7}, 6)[1]}
     assert lack(Study(Data(planted.ensemble({"coulomb": 0.7}, 6)[0], still), settings)) is Reason.NO_MOTION
 
@@ -181,7 +184,7 @@ OFF = "Shares (exact) lie below the fitted geometric distribution at s = 1 and 4
 
 
 @pytest.mark.parametrize(("bend", "two_state", "words"), [
-    (0.8, 0.8, f"{OFF}, as those of independent two-state blocks. "), (0.8, 1.0, f"{OFF}. "), (1.0, 1.0, ""),
+    (0.8, 0.8, f"{OFF}, like those of independent two-state blocks. "), (0.8, 1.0, f"{OFF}. "), (1.0, 1.0, ""),
 ])  # fmt: skip
 def test_the_figure_says_at_which_sizes_shares_leave_the_fit(bend, two_state, words):
     bends = {1: bend, 3: 1 / bend} | dict.fromkeys(range(4, 8), bend)

@@ -61,9 +61,16 @@ def test_a_number_that_files_carry_is_a_key_that_is_swept(tmp_path):
     assert sorted(rows["rewiring"].unique()) == [0.0, 0.1, 0.2]
     assert rows.groupby("design_point").size().tolist() == [8] * 6
     assert sorted(rows["design_unit"].unique()) == [*range(8)]
+    table = reporting.study_of(tmp_path / "data").data.table
+    assert [table.unit_of(name) for name in rows["member_id"]] == rows["file"].tolist()
     changes = reporting.report(tmp_path / "data").tables["changes"]
     known = changes[changes["quantity"] == "mean slip_speed"]
     assert known.groupby("key")["n_first"].max().to_dict() == {"friction": 8, "rewiring": 8}
+
+
+def test_draws_of_a_file_are_told_by_their_number(tmp_path):
+    np.savez(tmp_path / "K0.npz", stiffness=chain(4, 1.0))
+    assert [*reporting._systems(written(tmp_path, matrices=2)).values()] == ["K0.npz, draw 0", "K0.npz, draw 1"]
 
 
 def test_files_that_share_all_their_numbers_are_refused(tmp_path):

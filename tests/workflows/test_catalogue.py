@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from stickslip import Dataset
-from stickslip.pipeline import parse_scene, run_ensemble, verify
+from stickslip.pipeline import load_scene, parse_scene, run_ensemble, verify
 from stickslip.workflows.commands import main
 from tests.scenes import COULOMB, ON_BELTS, ensemble
 
@@ -58,6 +58,16 @@ def test_a_row_a_cluster_or_an_episode(tmp_path):
     assert set(table["matrix"]) == {0, 1}
     alone = Dataset(made(tmp_path, "episodes = true"))
     assert len(exported(alone.path)) == len(alone.episodes)
+
+
+def test_systems_from_files_are_told_by_their_names(tmp_path):
+    stiffness = 9.0 * np.eye(8) - 4.0 * (np.eye(8, k=1) + np.eye(8, k=-1))
+    for k in range(2):
+        np.savez(tmp_path / f"K{k}.npz", stiffness=stiffness + 0.1 * k * np.eye(8))
+    of_files = SOURCE.replace('"chain"\nkappa = 4.0\nleaf = 1.0', '"file"\npath = "K*.npz"')
+    (tmp_path / "scene.toml").write_text(of_files.replace("RECORD", "episodes = true"))
+    run_ensemble(load_scene(tmp_path / "scene.toml"), tmp_path / "out", workers=0)
+    assert {*exported(tmp_path / "out")["file"]} == {"K0.npz", "K1.npz"}
 
 
 def test_a_dataset_without_episodes_is_refused(tmp_path, capsys):

@@ -17,6 +17,7 @@ import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 from stickslip import Dataset
 from stickslip.analysis.findings.finding import Verdict
@@ -351,6 +352,12 @@ def test_a_question_of_ones_own_is_a_function_beside_the_scene(tmp_path, monkeyp
     assert len(levels) == len(means)
     assert found.title == "At which belt speed do blocks stick longest?"
     assert [*found.figures] == ["own-question-shares"]
+    exec(block("own", "python", "def question") + block("own", "python", "def paired"), names := {})
+    (change,) = names["paired"](study_of(tmp_path / "out")).findings
+    by_belt = query.members(tmp_path / "out").pivot_table(index="matrix", columns="belt_speed", values="stick_share")
+    known = stats.ttest_rel(by_belt[-0.1], by_belt[-0.2]).confidence_interval()
+    assert change.difference.estimate.low == pytest.approx(known.low)
+    assert sentence(change).startswith("Share of the time that a block sticks rises by ")
 
 
 def test_a_chart_is_a_file_and_a_template(tmp_path, monkeypatch, capsys):

@@ -1,4 +1,4 @@
-"""How slow common motion changes along the keys that a scene sweeps, and whether as a power of them."""
+"""How slow common motion changes along the keys that a scene sweeps."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from scipy import special
 
 from stickslip.analysis.answer import Answer, Picture
 from stickslip.analysis.by_key import by_key
@@ -19,18 +18,15 @@ from stickslip.analysis.findings.finding import (
     Difference,
     Family,
     Finding,
-    Fit,
     Form,
     KeyChange,
     Lack,
-    Law,
-    Level,
     Quantity,
     Reason,
     Scale,
     Verdict,
 )
-from stickslip.analysis.findings.numbers import signs, span
+from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import listed
 from stickslip.analysis.grid import is_negative
@@ -38,7 +34,7 @@ from stickslip.analysis.members import noun
 from stickslip.analysis.models.common_motion import Number
 from stickslip.analysis.questions.slips.slow_motion import Slow, misfits, slow_motions
 from stickslip.analysis.stats.compare import Compared
-from stickslip.analysis.stats.estimates import Estimate, jackknife_error, jackknife_estimate, with_ends
+from stickslip.analysis.stats.estimates import jackknife_error, jackknife_estimate, with_ends
 from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.style import HUES, bars, panel
 from stickslip.pipeline.design.values import shown
@@ -53,9 +49,6 @@ NUMBERS = {
         Form.SHARE,
     ),
 }
-_PLURAL = {Number.PERIOD: "natural periods", Number.QUALITY: "values of Q", Number.SHARE: "shares of the variance"}
-LEAST_POINTS = 3  # to fit a power
-LEAST_FACTOR = 2.0  # least ratio of the largest to the smallest value of a key, to speak of a power of it
 WHAT = "changes of slow common motion"
 
 
@@ -73,64 +66,28 @@ class Along(NamedTuple):
         return first, last
 
 
-class Power(NamedTuple):
-    """A number as a power of |key|, with an exponent common to all settings of the other keys.
-
-    Attributes
-    ----------
-    p_misfit : float
-        Of the points' scatter about one power.
-    p_apart : float
-        Of one exponent at all settings (Hotelling's T^2); 1 for one setting.
-    """
-
-    number: Number
-    key: str
-    first_value: float
-    last_value: float
-    exponent: Estimate
-    p_misfit: float
-    p_apart: float
-
-    def finding(self, alpha: float) -> Law | Lack:
-        where = Place.key(f"|{self.key}|", f"{shown(self.first_value)} to {shown(self.last_value)}")
-        fit = Fit.HOLDS if min(self.p_misfit, self.p_apart) >= alpha else Fit.FAILS
-        law = f"follow a power law in |{self.key}|"
-        name = f"exponent of the {NUMBERS[self.number].name} in |{self.key}|"
-        low, high = self.exponent.low or 0.0, self.exponent.high or 0.0
-        if fit is Fit.HOLDS and low <= 0.0 <= high:
-            return Lack(f"{name}{where.tail}", Reason.NOT_SHOWN, span(low, high))
-        exponent = Level(Quantity("exponent", name), self.exponent, where)
-        return Law(_PLURAL[self.number], law, exponent, fit, called="power")
-
-
 def question(study: Study) -> Answer:
     """How does slow common motion depend on the number of blocks and the speed of the belt?
 
-    The last value of a key is compared with the first, all else equal, averaged over the settings of the other keys
-    at which these are the ends, with intervals from leaving out one system everywhere at once, and adjusted for the
-    number of comparisons. A power is fitted by weighted least squares of logarithms where a key spans a factor of
-    two.
+    The last value of a key is compared with the first, system by system, and averaged over the settings of the other
+    keys at which these are the ends. Verdicts are adjusted for the number of comparisons (Holm). Where a damped
+    oscillator misses the spectrum there is no number to compare.
     """
     motions = slow_motions(study, WHAT)
     if isinstance(motions, Lack):
         return Answer(findings=[motions])
     slow = [motion for motion in motions if motion.is_shown]
     missed = misfits(slow, study.settings.confidence)  # what is fitted there is no number of the motion
-    lines = [
-        line for key in KEYS for line in along(key, [motion for motion in slow if motion.group.label not in missed])
-    ]
+    lines = [line for key in KEYS for line in along(key, [motion for motion in slow if motion not in missed])]
     if not lines:
         return Answer(findings=[Lack(WHAT, Reason.ONE_VALUE if slow else Reason.NOT_SHOWN)])
     confidence = study.settings.confidence
     changed = changes(lines, noun(study.unit), confidence)
     changed.sort(key=_rank)
-    powers = [power for key in KEYS for name in NUMBERS if (power := power_law(name, key, lines, confidence))]
-    wide = [power for power in powers if power.last_value >= LEAST_FACTOR * power.first_value]
-    laws = [power.finding(1 - confidence) for power in wide]
-    findings: list[Finding] = [*changed, *(law for law in laws if isinstance(law, Lack) or law.fit is Fit.HOLDS)]
+    findings: list[Finding] = [*changed]
     shown_lines = [line for line in lines if line.key == lines[0].key]
-    caption = f"{_trend(changed, shown_lines[0].key)}. Bars are {100 * confidence:g}% intervals."
+    gaps = " No point is where a damped oscillator misses the spectrum." * bool(missed)
+    caption = f"{_trend(changed, shown_lines[0].key)}. Bars are {100 * confidence:g}% intervals.{gaps}"
     return Answer(
         findings=findings, n_lead=2, figures={"rhythm_period": Picture(partial(periods, shown_lines), caption)}
     )
@@ -234,49 +191,6 @@ def _averaged_over(lines: Sequence[Along]) -> Place:
         return Place.words(f"averaged over {len(lines)} settings of the other keys")
     values = sorted((value for line in lines for _, value in line.at.parts), key=lambda value: abs(float(value)))
     return Place.words(f"averaged over {keys.pop()} = {listed(values)}")
-
-
-# ---------------------------------------------------------------------------------------------------- powers
-
-
-def power_law(number: Number, key: str, lines: Sequence[Along], confidence: float) -> Power | None:
-    """A number as a power of |key|, from all lines along it; None for fewer than `LEAST_POINTS` values.
-
-    By least squares of the logarithms, weighted by the errors of the points. Errors come from leaving out a system
-    everywhere at once, as groups share draws.
-    """
-    sets = [line.groups for line in lines if line.key == key]
-    points = [(motion, k) for k, groups in enumerate(sets) for motion in groups]
-    values = np.array([abs(float(motion.group.key[key])) for motion, _ in points])
-    if len(set(values.tolist())) < LEAST_POINTS:
-        return None
-    units = sorted({unit for motion, _ in points for unit in motion.units})
-    x, y = np.log(values), np.array([motion.logs(number, units) for motion, _ in points])
-    weight = np.array(
-        [jackknife_error(np.array(motion.logs(number, motion.units)[1:])) ** -2 for motion, _ in points]
-    )
-    in_set = np.array([k for _, k in points])[:, None] == np.arange(len(sets))  # each set has a level of its own
-    share = in_set * weight[:, None] / (weight @ in_set)
-    x, y = x - in_set @ (share.T @ x), y - in_set @ (share.T @ y)
-    by_set = (in_set.T @ (weight[:, None] * x[:, None] * y)) / (in_set.T @ (weight * x**2))[:, None]
-    slopes = (weight * x) @ y / (weight @ x**2)
-    n_free, exponent = len(points) - len(sets) - 1, jackknife_estimate(slopes, confidence)
-    misfit = float(special.chdtrc(n_free, weight @ (y[:, 0] - slopes[0] * x) ** 2))
-    return Power(number, key, float(values.min()), float(values.max()), exponent, misfit, _p_apart(by_set))
-
-
-def _p_apart(slopes: np.ndarray) -> float:
-    """p-value of the null that some sets have one slope, from slopes of shape (k, 1 + G).
-
-    Columns are the slopes from all systems, and with each left out. It is 1 for one set, or too few systems.
-    """
-    deviations, n = slopes[1:] - slopes[0], slopes.shape[1] - 1
-    k = len(deviations)
-    if not 0 < k < n:
-        return 1.0
-    off = deviations[:, 1:] - deviations[:, 1:].mean(axis=1, keepdims=True)
-    square = deviations[:, 0] @ np.linalg.solve((n - 1) / n * off @ off.T, deviations[:, 0])
-    return float(special.fdtrc(k, n - k, (n - k) / (k * (n - 1)) * square))
 
 
 # ------------------------------------------------------------------------------------------------- the figure

@@ -57,6 +57,7 @@ _REASONS = {
     enough.FEW_MATRICES: "too few systems",
     enough.FEW_CASCADES: "too few cascades",
     enough.DRIFTS: "the number of sticking blocks drifts",
+    enough.FEW_BLOCKS: "no cascade has more than two blocks",
 }
 
 

@@ -119,7 +119,7 @@ def departure(sizes: Sequence[Size], of_which: str) -> str:
     fit = iter(("the fitted geometric distribution", "it"))
     sides = [f"{side} {next(fit)} at {_at(off)}" for side, off in (("below", below), ("above", above)) if off]
     alike = all((size.share.low or 0.0) <= (size.pool or 0.0) <= (size.share.high or 1.0) for size in below + above)
-    likeness = ", as those of independent two-state blocks" * alike
+    likeness = ", like those of independent two-state blocks" * alike
     return f"Shares{of_which} lie {' and '.join(sides)}{likeness}. "
 
 

@@ -20,6 +20,7 @@ from stickslip.analysis.findings.finding import (
     Basis,
     Comparison,
     Difference,
+    Family,
     Finding,
     Fit,
     Form,
@@ -43,10 +44,12 @@ from stickslip.analysis.series import nulls
 from stickslip.analysis.series.cascades import spans
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats import enough, estimates, student
+from stickslip.analysis.stats.compare import Compared, against
 from stickslip.analysis.stats.components import between
 from stickslip.analysis.stats.dispersion import excess, moments
 from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, over_matrices, ratio
 from stickslip.analysis.stats.families import EXPONENTIAL, POWER_LAW, log_shares, maximise
+from stickslip.analysis.stats.multiplicity import together
 from stickslip.analysis.stats.shares import mean_within
 from stickslip.analysis.style import forest
 from stickslip.pipeline.design.labels import Label, apart, engine_noun
@@ -197,10 +200,11 @@ def answer(study: Study) -> Answer:
         return Answer(findings=[missing], alerts=alerts, tables=tables, method=_method(study))
     if not alike:
         return Answer(findings=[Lack("the decay rate of cascade sizes", Reason.ONE_VALUE)], tables=tables)
-    lead, *others = alike
+    lead, *_ = alike
     where = places(study)
-    leading = _findings(study, lead, where[lead.group.label])
-    findings = [rate for entry in others for rate in _rates(study, entry, where[entry.group.label])]
+    rates, *of_others = _rates(study, alike, where)
+    leading = _findings(study, lead, where[lead.group.label], rates)
+    findings = [rate for of_setting in of_others for rate in of_setting]
     findings.sort(key=lambda rate: rate.quantity is not RATE)  # beside ln 2 first
     definitions = cascade_definitions.compared(study, lead.group)
     return Answer(
@@ -287,31 +291,46 @@ def _of_run(least: int, draws: int, run: Run) -> np.ndarray:
 # ------------------------------------------------------------------------------------------------- findings
 
 
-def _rates(study: Study, sums: Sums, where: Place) -> list[Level]:
-    """The decay rate beside ln 2 and, as far as known, those of shifted and of two-state blocks."""
+def _rates(study: Study, alike: Sequence[Sums], where: Mapping[str, Place]) -> list[list[Level]]:
+    """The decay rates beside ln 2 and, as far as known, those of shifted and of two-state blocks.
+
+    Differences of several settings from one of these are judged together.
+    """
     level, margin = study.settings.confidence, study.settings.margins.get("gamma")
-    nulls: dict[str, Statistic] = {COIN: over_coin}
+    rates = [list[Level]() for _ in alike]
+    for null in (COIN, SHIFTED, TWO_STATE):
+        tests = [_test(null, sums) for sums in alike]
+        p_values = together(test if test is None else test.p_different for test in tests)
+        n_tests = sum(p is not None for p in p_values)
+        for sums, test, p, of_setting in zip(alike, tests, p_values, rates, strict=True):
+            if test is None or p is None:
+                continue
+            size = Estimate(test.difference, *test.interval(level))
+            difference = Difference(size, margin=margin, family=Family(n_tests, p, 1 - level))
+            rate, place = sums.estimate(gamma, level), where[sums.group.label]
+            basis = Basis(len(sums.rows), noun(study.unit))
+            quantity = RATE if null == COIN else BESIDE
+            of_setting.append(Level(quantity, rate, place, Comparison(null, difference), basis))
+    return rates
+
+
+def _test(null: str, sums: Sums) -> Compared | None:
+    """How far the decay rate lies from that of a null, relative to it; None where there is no such null."""
+    statistics: dict[str, Statistic] = {COIN: over_coin}
     if sums.is_shifted:
-        nulls[SHIFTED] = over_shifted
+        statistics[SHIFTED] = over_shifted
     if sums.pool_mean is not None:
-        nulls[TWO_STATE] = lambda rows: gamma(rows) / of_pool(sums.n, rows) - 1
-    rate, basis = sums.estimate(gamma, level), Basis(len(sums.rows), noun(study.unit))
-    return [
-        Level(
-            RATE if null == COIN else BESIDE,
-            rate,
-            where,
-            Comparison(null, Difference(sums.estimate(statistic, level), margin=margin)),
-            basis,
-        )
-        for null, statistic in nulls.items()
-    ]
+        statistics[TWO_STATE] = lambda rows: gamma(rows) / of_pool(sums.n, rows) - 1
+    try:
+        return against(statistics[null], sums.rows) if null in statistics else None
+    except Undefined:
+        return None
 
 
-def _findings(study: Study, sums: Sums, where: Place) -> list[Finding]:
+def _findings(study: Study, sums: Sums, where: Place, rates: Sequence[Level]) -> list[Finding]:
     """The law of a group, its decay rate beside other blocks', and how far it is from geometric."""
     level = study.settings.confidence
-    rate, *further = _rates(study, sums, where)
+    rate, *further = rates
     beside_geometric = sums.estimate(over_geometric, level)
     geometric = Comparison(GEOMETRIC, Difference(beside_geometric))
     departure = Level(VARIANCE, sums.estimate(variance, level), where, geometric, rate.basis)
@@ -489,9 +508,9 @@ def _figures(
     }
 
 
-def _first_run(study: Study, group: Group) -> tuple[int, cascade_figures.Largest | None, Recipe]:
+def _first_run(study: Study, group: Group) -> tuple[str, cascade_figures.Largest | None, Recipe]:
     """Unit of the first run of a group, its largest cascade, and what draws it."""
-    row, member_id, win = next(iter(study.windows(group)))
+    _, member_id, win = next(iter(study.windows(group)))
     cascades = spans(win)
     largest = None
     if len(cascades.size):
@@ -499,7 +518,7 @@ def _first_run(study: Study, group: Group) -> tuple[int, cascade_figures.Largest
         largest = cascade_figures.Largest(int(cascades.size[k]), float(cascades.start[k]), float(cascades.stop[k]))
     t, n_stick = study.runs.points(member_id)
     of_run = t, n_stick, win.t_stop, study.settings.t_burn, largest, study.settings.units
-    return group.units[row], largest, partial(cascade_figures.one_run, *of_run)
+    return study.data.table.unit_of(member_id), largest, partial(cascade_figures.one_run, *of_run)
 
 
 QUESTION = Question(

@@ -19,7 +19,7 @@ from stickslip.analysis.findings.words import listed
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import noun
 from stickslip.analysis.models.common_motion import SURROGATES, Number, Shown
-from stickslip.analysis.questions.slips.slow_motion import CYCLES, Band, Slow, misfits, slow_motions
+from stickslip.analysis.questions.slips.slow_motion import CYCLES, Band, Slow, misfits, slow_motions, together
 from stickslip.analysis.questions.slips.triggering import CLUSTERING, exits_of, triggered
 from stickslip.analysis.rows import frame_by, frame_of
 from stickslip.analysis.settings import AnalysisSettings
@@ -62,7 +62,7 @@ def answer(study: Study) -> Answer:
     exits, where = exits_of(study, lead.group), where_of[lead.group.label]
     bands = {motion.group.label: motion.bands(level) for motion in motions[:MOST_GROUPS]}
     fitted = [motion for motion in motions if motion.is_shown]
-    missed = misfits(fitted, level)
+    missed = [motion.group.label for motion in misfits(fitted, level)]
     laws = [_law(motion, where_of[motion.group.label], unit, motion.group.label in missed) for motion in fitted]
     labels = [motion.group.label for motion in motions if bands.get(motion.group.label)]
     q_of = {motion.group.label: f": {_q(motion)}" for motion in fitted if motion.group.label not in missed}
@@ -76,7 +76,7 @@ def answer(study: Study) -> Answer:
     return Answer(
         findings=[*leading, *shares, *laws[1:], *compared],
         n_lead=1 if laws else 1 + bool(shares),
-        alerts=_alerts(lead.group, {str(where_of[label]): p for label, p in missed.items()}, len(laws)),
+        alerts=_alerts(lead.group, [str(where_of[label]) for label in missed], fitted),
         method=_METHOD,
         tables={
             "clustering": frame_by(CLUSTERING, () if exits is None else exits.pairs),
@@ -86,15 +86,15 @@ def answer(study: Study) -> Answer:
     )
 
 
-def _alerts(group: Group, missed: Mapping[str, float], n_fits: int) -> list[Alert]:
-    """That runs are left out, and at which settings the fit is no more than a summary, by adjusted p-values."""
+def _alerts(group: Group, missed: Sequence[str], fitted: Sequence[Slow]) -> list[Alert]:
+    """That runs are left out, and at which settings the fit is no more than a summary."""
     alerts = []
     if group.n_moving < len(group):
         alerts.append(Alert.of(Code.NOT_MOVING, n=len(group) - group.n_moving, of=len(group), what=WHAT))
     if missed:
         which = listed([*missed]) if len(missed) <= MOST_GROUPS else f"{len(missed)} settings"
-        where, among = (f" at {which}", f" among {n_fits} settings") if n_fits > 1 else ("", "")
-        alerts.append(Alert.of(Code.MISFIT, where=where, p=f"{min(missed.values()):.2g}", among=among))
+        where, among = (f" at {which}", f" of {len(fitted)} settings together") if len(fitted) > 1 else ("", "")
+        alerts.append(Alert.of(Code.MISFIT, where=where, p=f"{together(fitted).p_value:.2g}", among=among))
     return alerts
 
 

@@ -75,10 +75,11 @@ FEWEST_IN_BIN = 5  # events in a bin of times, if any, for it to be drawn
 _METHOD = (
     "An episode lasts from all blocks stuck to all stuck again; its size is the number of blocks that slip, its"
     " moment the sum of their slips, its magnitude log10 of that. Methods are compared on the same systems: a method"
-    " differs if its rate, mean size or mean duration of episodes, its rate of slip onsets (t tests) or its"
-    " distribution of magnitudes (permutation test) does, with p-values adjusted for the number of methods (Holm). A"
-    " power law is fitted on the widest range on which the distribution functions of data and law differ by less than"
-    " 2%, or by chance; b of two datasets can be compared on one range, [analysis] magnitude_range."
+    " differs if its rate, mean size or mean duration of episodes, its rate of slip onsets (t tests), if these have"
+    " times, or its distribution of magnitudes (permutation test) does. p-values are adjusted (Holm) for the tests of"
+    " rates and magnitudes, and for others. A power law is fitted on the widest range on which the distribution"
+    " functions of data and law differ by less than 2%, or by chance; b of two datasets can be compared on one range,"
+    " [analysis] magnitude_range."
 )
 #: What follows the name of a power law in a sentence, and that of one whose cut-off is shown.
 BEYOND: Mapping[Kind, str] = {Kind.POWER: "", Kind.CUT_OFF: "", Kind.PEAK: ", below a peak,"}

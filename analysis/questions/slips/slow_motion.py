@@ -28,7 +28,6 @@ from stickslip.analysis.series.nulls import whole_periods
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.estimates import Estimate
-from stickslip.analysis.stats.multiplicity import holm
 
 CYCLES = 3.0  # of a block: motion of longer periods is slow
 
@@ -125,10 +124,21 @@ def slow_motions(study: Study, what: str) -> list[Slow] | Lack:
     return motions if judged else lack(study, what)
 
 
-def misfits(fitted: Sequence[Slow], confidence: float) -> dict[str, float]:
-    """The groups, by label, of which a damped oscillator misses the spectrum: p-values adjusted by Holm's rule."""
-    p_values = holm([motion.goodness.p_value for motion in fitted]).tolist()
-    return {motion.group.label: p for motion, p in zip(fitted, p_values, strict=True) if p < 1 - confidence}
+def misfits(fitted: Sequence[Slow], confidence: float) -> list[Slow]:
+    """The groups, the worst first, without which damped oscillators fit the spectra of the others together.
+
+    To adjust the p-value of each for their number would let fits pass that no group alone refutes.
+    """
+    in_order = sorted(fitted, key=lambda motion: motion.goodness.p_value)
+    n_missed = 0
+    while n_missed < len(in_order) and together(in_order[n_missed:]).p_value < 1 - confidence:
+        n_missed += 1
+    return in_order[:n_missed]
+
+
+def together(fitted: Sequence[Slow]) -> Goodness:
+    """How far the spectra of several groups lie from their fits."""
+    return Goodness(*map(sum, zip(*(motion.goodness for motion in fitted), strict=True)))
 
 
 def slow_motion(study: Study, group: Group) -> Slow | None:
