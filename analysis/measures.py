@@ -31,7 +31,8 @@ from stickslip.analysis.stats.estimates import Undefined, UnitSums, per_event, r
 from stickslip.analysis.stats.quantities import QUANTITIES as OF_N_STICK
 
 MEAN, GAMMA = OF_N_STICK["mean"].label, OF_N_STICK["gamma"].label
-MEAN_SLIPPING = "mean n_slip"  # which is compared where more than half of the blocks stick
+MEAN_SLIPPING = "mean n_slip"  # which is compared where most blocks stick
+MOST = 0.75  # of the blocks: of those that slip a difference is then three times as much, at least
 MEAN_SIZE, B = "mean size of episodes", "b of episodes"
 #: Names under which margins are declared.
 KEYS = {MEAN: "mean", MEAN_SLIPPING: "mean", GAMMA: "gamma"}
@@ -343,10 +344,10 @@ def of_windows(study: Study, keys: Collection[str] = tuple(OF_N_STICK)) -> list[
 
 
 def _mostly_stuck(study: Study) -> int:
-    """The number of blocks if more than half of them stick at each setting, so that slip is what differs; else 0."""
+    """The number of blocks if most of them stick at each setting, so that those that slip tell more; else 0."""
     n = {int(group.key["n"]) for group in study.groups}
     sums = [group.sums("mean").rows.sum(axis=0) for group in study.groups if group.n_runs]
-    is_so = len(n) == 1 and bool(sums) and all(2 * total > min(n) * runs for total, runs in sums)
+    is_so = len(n) == 1 and bool(sums) and all(MOST < total / (min(n) * runs) <= 1 for total, runs in sums)
     return min(n) if is_so else 0
 
 

@@ -44,9 +44,9 @@ def _method(study: Study) -> str:
         f"The growth rate is the slope of log distance over time from t = {settings.at(T_FROM * settings.time)} on,"
         f" while all pairs lie between a floor ({FLOOR:g}, or {TOLERANCES:g} rtol under a smoothed law) and"
         f" {CEILING:g}; none is given where more than a tenth of the pairs leave that range."
-        f" Copies differ half as much when |difference of n_stick|, averaged over {parting.SPAN * settings.time:g} {unit},"
-        f" first reaches {100 * parting.SHARE:g}% of what two systems show after t_burn while both are followed."
-        " A pair is followed until the motion of one of its runs grows without limit."
+        f" Copies differ half as much when |difference of n_stick|, averaged over {parting.SPAN * settings.time:g}"
+        f" {unit}, first reaches {100 * parting.SHARE:g}% of what two systems show after t_burn while both are"
+        " followed. A pair is followed until the motion of one of its runs grows without limit."
     )
 
 
