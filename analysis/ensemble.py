@@ -18,6 +18,7 @@ from stickslip.analysis.models.fates import DIVERGED, FAILED
 from stickslip.analysis.models.motion import Motion, joined, motion
 from stickslip.analysis.models.times import Times
 from stickslip.analysis.series.cascades import Window
+from stickslip.analysis.series.nulls import LEAST_PERIODS
 from stickslip.analysis.series.runs import Ended, Events, Put, Run, Runs, Series, generator, no_series
 from stickslip.analysis.series.windows import ChangePoints, NoSeries, Stack, Windows, windows
 from stickslip.analysis.settings import AnalysisSettings
@@ -332,6 +333,11 @@ class Study:
         """
         able = [group for group in self.groups if group.basis(self.settings.confidence).code in enough.JUDGED]
         return sorted(able, key=lambda group: (group.n_moving < len(group), -int(group.key["n"])))
+
+    def can_shift(self, group: Group) -> bool:
+        """Whether blocks may be shifted in time one by one: nothing changes in time, or it repeats often."""
+        window = float(group.key["t_end"]) - self.settings.t_burn
+        return window >= LEAST_PERIODS * group.shift_unit  # which may be NaN
 
     def windows(self, group: Group) -> Iterator[tuple[int, str, Window]]:
         """Row of the unit, member_id and n_stick on [t_burn, t_end] of each run in motion of a filled group.

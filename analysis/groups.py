@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members, shift_unit
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET
 from stickslip.analysis.models.motion import COLUMNS, Motion
 from stickslip.analysis.series.runs import by_number
@@ -133,6 +133,11 @@ class Group:
     def setting(self) -> Mapping[str, Any]:
         """That of one of its members: they differ in their seeds alone."""
         return self.table.settings[int(self.column("setting").iloc[0])]
+
+    @cached_property
+    def shift_unit(self) -> float:
+        """By whole multiples of what its blocks may be shifted in time: see `members.shift_unit`."""
+        return shift_unit(self.setting)
 
     @property
     def system(self) -> tuple[Any, ...]:

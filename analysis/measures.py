@@ -31,9 +31,11 @@ from stickslip.analysis.stats.estimates import Undefined, UnitSums, per_event, r
 from stickslip.analysis.stats.quantities import QUANTITIES as OF_N_STICK
 
 MEAN, GAMMA = OF_N_STICK["mean"].label, OF_N_STICK["gamma"].label
+MEAN_SLIPPING = "mean n_slip"  # which is compared where most blocks stick
+MOST = 0.75  # of the blocks: of those that slip a difference is then three times as much, at least
 MEAN_SIZE, B = "mean size of episodes", "b of episodes"
 #: Names under which margins are declared.
-KEYS = {MEAN: "mean", GAMMA: "gamma"}
+KEYS = {MEAN: "mean", MEAN_SLIPPING: "mean", GAMMA: "gamma"}
 #: Reasons, beside the outcomes of runs.
 NO_VALUE, NO_EPISODE, STILL = "its record gives none", "no episode", "not in motion"
 NOT_REACHED = "fewer than half of the runs have it"
@@ -334,8 +336,23 @@ def of_windows(study: Study, keys: Collection[str] = tuple(OF_N_STICK)) -> list[
         if key in keys and key in study.compared:
             statistic = Statistic(quantity.label, quantity.of, study.settings.margins.get(key), least=0.0)
             statistic = replace(statistic, title=quantity.title, things=quantity.things, dimension=quantity.dimension)
+            if key == "mean" and statistic.margin is None and (n := _mostly_stuck(study)):
+                title, things = "mean number of slipping blocks", "slipping blocks"
+                statistic = replace(statistic, name=MEAN_SLIPPING, of=partial(_rest, n), title=title, things=things)
             measured.append(Measure(statistic, key, partial(_window_sums, key, study.settings.confidence)))
     return measured
+
+
+def _mostly_stuck(study: Study) -> int:
+    """The number of blocks if most of them stick at each setting, so that those that slip tell more; else 0."""
+    n = {int(group.key["n"]) for group in study.groups}
+    sums = [group.sums("mean").rows.sum(axis=0) for group in study.groups if group.n_runs]
+    is_so = len(n) == 1 and bool(sums) and all(MOST < total / (min(n) * runs) <= 1 for total, runs in sums)
+    return min(n) if is_so else 0
+
+
+def _rest(n: int, rows: np.ndarray) -> np.ndarray:
+    return n - ratio(rows)
 
 
 def _window_sums(key: str, confidence: float, group: Group) -> Values:

@@ -171,14 +171,39 @@ def force_period(setting: Mapping[str, Any]) -> float:
 
     Of several the one that they share or, where that is not a few periods of the slowest, that of the slowest.
     """
+    slowest, n_shared = _periods(setting)
+    return slowest * max(n_shared, 1)
+
+
+def shift_unit(setting: Mapping[str, Any]) -> float:
+    """By whole multiples of what blocks may be shifted in time, each by itself: 0 where nothing changes in time.
+
+    It is the period that all forces share, which so keep their phases; NaN where there is none, or something else
+    changes.
+    """
+    if has_course(setting):
+        return np.nan
+    slowest, n_shared = _periods(setting)
+    return (slowest * n_shared if n_shared else np.nan) if any(frequencies(setting)) else 0.0
+
+
+def has_course(setting: Mapping[str, Any]) -> bool:
+    """Whether a belt, a force or any other number changes in time otherwise than harmonically."""
+    values = dict(setting["values"])
+    pushes = values["forces"].parts if isinstance(values.get("forces"), Pushes) else ()
+    return any(isinstance(course, InTime) for course in (*values.values(), *(push.course for push in pushes)))
+
+
+def _periods(setting: Mapping[str, Any]) -> tuple[float, int]:
+    """The period of the slowest force, NaN where none is known, and how many of these all forces share, 0 if none."""
     of_forces = [frequency for frequency in frequencies(setting) if frequency != 0.0]
     if not of_forces or not all(isinstance(frequency, float) for frequency in of_forces):
-        return np.nan
+        return np.nan, 0
     turning = np.abs(of_forces)
     ratios = np.outer(np.arange(1, _MOST_PERIODS + 1), turning / turning.min())
     is_shared = (abs(ratios - ratios.round()) < _ROUNDING * ratios).all(axis=1)
-    n_periods = 1 + int(is_shared.argmax())  # 1 if none is shared
-    return float(n_periods * 2.0 * np.pi / turning.min())
+    n_shared = 1 + int(is_shared.argmax()) if is_shared.any() else 0
+    return float(2.0 * np.pi / turning.min()), n_shared
 
 
 def may_be_proved(setting: Mapping[str, Any]) -> bool:
@@ -186,11 +211,12 @@ def may_be_proved(setting: Mapping[str, Any]) -> bool:
 
     There are proofs on one belt of constant speed under constant forces, where friction does not weaken with speed.
     """
-    values = dict(setting["values"])
-    pushes = values["forces"].parts if isinstance(values.get("forces"), Pushes) else ()
-    courses = [*values.values(), *(push.course for push in pushes)]
-    is_constant = not any(isinstance(course, InTime) for course in courses) and not any(frequencies(setting))
-    return is_constant and "belt_speed" not in values and all(setting[name] is None for name in _WEAKENING)
+    is_constant = not has_course(setting) and not any(frequencies(setting))
+    return (
+        is_constant
+        and "belt_speed" not in dict(setting["values"])
+        and all(setting[name] is None for name in _WEAKENING)
+    )
 
 
 _FREQUENCY = 1  # of the numbers of a harmonic force

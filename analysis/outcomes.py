@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from stickslip.analysis.answer import Picture
 from stickslip.analysis.by_key import by_key
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.finding import Form, Outcomes, Scale, Verdict
+from stickslip.analysis.findings.finding import Outcomes, Scale, Verdict
 from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.stats.estimates import with_ends
@@ -115,15 +115,15 @@ def _ranges(settings: Sequence[tuple[Variant, bool]]) -> Iterator[str]:
 
 
 def forest(study: Study | None, steps: Sequence[Step], what: str, name: str = "contrasts") -> dict[str, Picture]:
-    """The figure of differences in per cent with their intervals, by its name; none of fewer than two."""
-    in_per_cent = [
-        step
-        for step in steps
-        if step.contrast.difference.scale is Scale.RELATIVE or step.contrast.statistic.quantity.form is Form.SHARE
-    ]
-    rows = [step for step in in_per_cent if step.contrast.difference.estimate.low is not None]
-    if len(rows) < 2:
-        return {}
+    """Figures of relative differences and of shares with their intervals, by name; none of fewer than two."""
+    known = [step for step in steps if step.contrast.difference.estimate.low is not None]
+    relative = [step for step in known if step.contrast.difference.scale is Scale.RELATIVE]
+    of_shares = [step for step in known if step not in relative and step.contrast.statistic.is_share]
+    figures = {name: relative, f"{name}_of_shares": of_shares}
+    return {key: _forest(study, rows, what) for key, rows in figures.items() if len(rows) > 1}
+
+
+def _forest(study: Study | None, rows: Sequence[Step], what: str) -> Picture:
     top = rows[:MOST_ROWS]
     ends, widest = _axis(top)
     margins = " that may exceed declared margins (bands)" * any(step.contrast.has_margin for step in top)
@@ -131,7 +131,7 @@ def forest(study: Study | None, steps: Sequence[Step], what: str, name: str = "c
     see = "Filled marks are" if any(step.contrast.is_shown for step in top) else "There are no"
     labels = {str(step.where): step.setting if step.kind is Kind.LAW else str(step.where) for step in top}
     caption = f"{see} significant {what}{margins}; bars are intervals.{cut}"
-    return {name: Picture(partial(differences, top, hues(study, [*labels.values()])), caption)}
+    return Picture(partial(differences, top, hues(study, [*labels.values()])), caption)
 
 
 def _axis(steps: Sequence[Step]) -> tuple[np.ndarray, float]:
@@ -167,9 +167,8 @@ def _differences(ax: Axes, steps: Sequence[Step], colours: Sequence[str]) -> Non
                 ax.plot([np.copysign(widest, end)], [y], arrow, color=colour, markersize=3, clip_on=False, gid="cut")
         face = colour if step.contrast.is_shown else "white"
         ax.plot([value], [y], "o", color=colour, markersize=4, clip_on=False, markerfacecolor=face)
-    has_shares = any(step.contrast.statistic.quantity.form is Form.SHARE for step in steps)
-    units = " (of shares, in percentage points)" * has_shares
-    ax.set(xlim=(-widest, widest), ylim=(len(names) - 0.5, -0.5), xlabel=f"difference in %{units}")
+    unit = "percentage points" if steps[0].contrast.statistic.is_share else "%"
+    ax.set(xlim=(-widest, widest), ylim=(len(names) - 0.5, -0.5), xlabel=f"difference in {unit}")
     ax.set_yticks(range(len(names)), [fill(name, _LETTERS) for name in names])
     ax.tick_params(axis="y", length=0)
     if len(settings) > 1:

@@ -545,6 +545,7 @@ class Reason(StrEnum):
     NOT_SHOWN = "none is shown"
     NO_REFERENCE = "nothing to compare with"
     NOT_RECORDED = "not recorded"
+    NO_SHIFT = "blocks cannot be shifted in time: a force or belt repeats too rarely, or all blocks repeat with it"
     NOT_RUN = "not run"
     ALL_FAILED = "all runs failed"
     CREEP = "blocks that creep may count as stuck"

@@ -1,13 +1,15 @@
 """Pairs of slip onsets close in time, beside those of blocks that ignore each other.
 
 The null is `nulls.rotated`: each block's series is rotated by a random amount of its own. The expected number of
-pairs then follows from the number of onsets of each block and from the gaps within blocks, so no draws are needed.
+pairs then follows from the number of onsets of each block and from the gaps within blocks, so no draws are needed;
+of rotation by whole periods of a force from the phases of onsets as well.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -32,7 +34,37 @@ def measure(steps: BlockSteps, taus: Sequence[float]) -> np.ndarray:
     if len(t) < 2:
         raise Undefined("fewer than two exits")
     gaps = own_gaps(t, block, steps.span, max(taus))
-    return np.array([(pairs(t, tau), gaps.pairs(tau)) for tau in taus])
+    expected = partial(in_phase, steps, gaps) if steps.n_periods else gaps.pairs
+    return np.array([(pairs(t, tau), expected(tau)) for tau in taus])
+
+
+def in_phase(steps: BlockSteps, own: OwnGaps, tau: float) -> float:
+    """Expected number of pairs of exits within tau under rotation by whole periods of a force.
+
+    Of k periods, two exits of different blocks come to lie w apart, but for their phases, with the probability
+    (k - |w|) / k^2. The seam, which is between two periods, cuts a gap within a block with a probability 1 / k for
+    each such place in it.
+    """
+    t, block = steps.exits
+    n, period = steps.n_periods, steps.span / steps.n_periods
+    phase = np.mod(t - steps.t_start, period)
+    alone = phase + block * (4.0 * steps.span)  # no other block's exits are near
+    most = min(int(tau / period) + 1, n - 1)
+    twice = sum(
+        (n - abs(w)) / n**2 * (n_within(phase, w * period, tau) - n_within(alone, w * period, tau))
+        for w in range(-most, most + 1)
+    )
+    is_near = own.gaps < tau
+    firsts, gaps = (own.firsts[is_near] - steps.t_start) / period, own.gaps[is_near] / period
+    n_seams = np.floor(firsts + gaps) - np.floor(firsts)
+    return float(0.5 * twice + np.sum(1 - n_seams / n))
+
+
+def n_within(t: np.ndarray, shift: float, tau: float) -> float:
+    """Number of ordered pairs with |t_j - t_i + shift| < tau, and of those with themselves."""
+    t = np.sort(t)
+    above, below = (np.searchsorted(t, t - shift + tau, "left"), np.searchsorted(t, t - shift - tau, "right"))
+    return float(np.sum(above - below))
 
 
 def pairs(t: np.ndarray, tau: float) -> float:
@@ -51,11 +83,14 @@ class OwnGaps:
     gaps : ndarray
         Gaps between exits of one block, on the window closed to a circle; those below a reach of at most half the
         span.
+    firsts : ndarray
+        Times from which they last.
     """
 
     counts: np.ndarray
     gaps: np.ndarray
     span: float
+    firsts: np.ndarray
 
     def pairs(self, tau: float) -> float:
         """Expected number of pairs of exits within tau under rotation, for tau <= the reach.
@@ -73,7 +108,7 @@ def own_gaps(t: np.ndarray, block: np.ndarray, span: float, reach: float) -> Own
     order = in_order(block)
     times, index, counts = t[order], block[order], np.bincount(block)
     starts, size = (np.cumsum(counts) - counts)[index], counts[index]
-    gaps, places = [np.zeros(0)], np.arange(len(times))
+    gaps, firsts, places = [np.zeros(0)], [np.zeros(0)], np.arange(len(times))
     for lag in range(1, counts.max(initial=0)):
         following = places + lag
         is_next_round = following >= starts[places] + size[places]
@@ -84,4 +119,5 @@ def own_gaps(t: np.ndarray, block: np.ndarray, span: float, reach: float) -> Own
             break
         gaps.append(forward[close])
         places = places[close]
-    return OwnGaps(counts, np.concatenate(gaps), span)
+        firsts.append(times[places])
+    return OwnGaps(counts, np.concatenate(gaps), span, np.concatenate(firsts))

@@ -258,10 +258,11 @@ def _provenance(
         shared = signs(", ".join(f"{name} = {text(table[name].iloc[0])}" for name in alike))
         notes.insert(0, f"{'All settings share' if len(groups) > 1 else 'The setting has'} {shared}.")
         table = table.drop(columns=alike)
+    n_copies = len(study.data.table) - len(study.data.table.unchanged)
     return Section(
         "made",
         "How was it made?",
-        f"{plural(len(study.data.table), 'run')}.",
+        plural(len(study.data.table), "run") + f", {n_copies:,} of them of changed copies" * bool(n_copies) + ".",
         texts,
         table=data_table("groups", table.rename(columns=CALLED)),
         notes=notes,

@@ -8,6 +8,8 @@ finite pool        number of blocks, mean n_stick           all else: blocks wit
 rotation           each block's own series of events        the blocks' timing relative to each other
 =================  =======================================  =============================================
 
+Under a periodic force rotation is by whole periods, so that what blocks share of its phase is kept.
+
 With fair order, `events` has P(k) = 2^-k and gamma = ln 2 (`stats.estimates.LN2`). For the finite pool, gamma by
 `events` has a closed form too. Rotation is simulated. It is the null of "no coupling": a block still cannot let go
 twice without sticking in between, and keeps its own rhythm. `models.pool` says which null answers which question.
@@ -22,6 +24,8 @@ import numpy as np
 
 from stickslip.analysis.series.cascades import Window
 
+LEAST_PERIODS = 10  # of a force: two blocks keep their order in one of so many rotations
+SAME_PHASE, MOSTLY = 1e-4, 0.99  # of a period; of events that are a period apart where blocks repeat
 _PLACES = 2**31  # in a window, of the events of a surrogate
 
 
@@ -35,6 +39,8 @@ class BlockSteps:
     block : ndarray of int, shape (m,)
     step : ndarray of int, shape (m,)
         -1 for an exit, +1 for an entry.
+    n_periods : int
+        Of a force, in the window: blocks are rotated by one or more of these; 0: by any time.
     """
 
     t_start: float
@@ -42,6 +48,7 @@ class BlockSteps:
     t: np.ndarray
     block: np.ndarray
     step: np.ndarray
+    n_periods: int = 0
 
     @property
     def span(self) -> float:
@@ -59,6 +66,19 @@ class BlockSteps:
         return np.bincount(self.block), places[self.by_block]
 
     @cached_property
+    def repeats(self) -> bool:
+        """Whether blocks do the same in each period of a force, so that rotation changes nothing."""
+        if not self.n_periods:
+            return False
+        t, block, step = (column[self.by_block] for column in (self.t, self.block, self.step))
+        after = np.arange(len(t)) + np.round(np.bincount(block) / self.n_periods).astype(np.int64)[block]
+        now = np.flatnonzero(after < len(t))
+        now = now[block[after[now]] == block[now]]
+        later, period = after[now], self.span / self.n_periods
+        is_alike = (step[later] == step[now]) & (abs(t[later] - t[now] - period) < SAME_PHASE * period)
+        return len(now) > 0 and float(is_alike.mean()) > MOSTLY
+
+    @cached_property
     def by_block(self) -> np.ndarray:
         """Places of the events, block by block and each in order of time."""
         return in_order(self.block)
@@ -74,16 +94,30 @@ class BlockSteps:
         return Window(self.t_start, self.t_stop, 0, self.t, self.step)
 
 
+def whole_periods(t_start: float, t_stop: float, period: float) -> tuple[float, int]:
+    """The last whole periods of a window: from when on, and how many; all of it, and 0, where none is known."""
+    n_periods = int((t_stop - t_start) / period * (1 + 1e-12)) if period > 0 else 0
+    return (t_stop - n_periods * period if n_periods else t_start), n_periods
+
+
 def block_steps(
-    t: np.ndarray, block: np.ndarray, mode: np.ndarray, initial_mode: np.ndarray, t_start: float, t_stop: float
+    t: np.ndarray,
+    block: np.ndarray,
+    mode: np.ndarray,
+    initial_mode: np.ndarray,
+    t_start: float,
+    t_stop: float,
+    period: float = np.nan,
 ) -> BlockSteps:
-    """Exits and entries of each block, from the events of a run.
+    """Exits and entries of each block, from the events of a run, in the last whole periods of a window.
 
     Parameters
     ----------
     t, block, mode : ndarray, shape (m,)
         Events in order of time: the block's mode (-1, 0, +1) from t on, 0 where it sticks.
     initial_mode : ndarray, shape (n,)
+    period : float
+        Of the force; NaN if there is none.
 
     Raises
     ------
@@ -102,8 +136,9 @@ def block_steps(
     firsts = by_block[is_first]
     stuck[firsts] = np.asarray(initial_mode)[block[firsts]] == 0
     step = sticks - stuck
+    t_start, n_periods = whole_periods(t_start, t_stop, period)
     is_inside = (step != 0) & (t > t_start) & (t <= t_stop)
-    return BlockSteps(float(t_start), float(t_stop), t[is_inside], block[is_inside], step[is_inside])
+    return BlockSteps(float(t_start), float(t_stop), t[is_inside], block[is_inside], step[is_inside], n_periods)
 
 
 def in_order(block: np.ndarray) -> np.ndarray:
@@ -130,7 +165,8 @@ def rotated(steps: BlockSteps, rng: np.random.Generator) -> np.ndarray:
         Places as of `BlockSteps.phases`, in order of time.
     """
     counts, phases = steps.phases
-    shift = rng.integers(_PLACES, size=len(counts), dtype=np.uint32) << np.uint32(1)
+    n_shifts = steps.n_periods or _PLACES
+    shift = (rng.integers(n_shifts, size=len(counts)) * _PLACES // n_shifts).astype(np.uint32) << np.uint32(1)
     places = phases + np.repeat(shift, counts)  # a sum beyond 32 bits begins again at zero
     places.sort()
     return places

@@ -84,6 +84,7 @@ class Run:
     runs: Runs
     member_id: str
     t_end: float
+    period: float = np.nan  #: of the force; NaN where none is known
 
     @cached_property
     def win(self) -> Window:
@@ -92,9 +93,14 @@ class Run:
 
     @cached_property
     def steps(self) -> BlockSteps | None:
-        """Each block's changes in the window; None if the run recorded no events."""
+        """Each block's changes in the window, in whole periods of the force; None if the run recorded no events."""
         events = self.runs.events.get(self.member_id)
-        return None if events is None else block_steps(*events, self.runs.t_burn, self.t_end)
+        return None if events is None else block_steps(*events, self.runs.t_burn, self.t_end, self.period)
+
+    @property
+    def shiftable(self) -> BlockSteps | None:
+        """`steps`, where it makes a difference to shift blocks in time."""
+        return None if self.steps is None or self.steps.repeats else self.steps
 
     def generator(self) -> np.random.Generator:
         """A new generator of the run's own random numbers."""
@@ -166,8 +172,9 @@ class Runs:
     def sums(self, some: Ended, of: Callable[[Run], np.ndarray | None]) -> dict[int, np.ndarray]:
         """By unit, the sums of what a function gives of some runs, flat, and at the end how many gave something."""
         totals: dict[int, np.ndarray] = {}
-        for member_id, unit, t_end in zip(some.member_id, some.unit.tolist(), some.t_end.tolist(), strict=True):
-            values = of(Run(self, str(member_id), t_end))
+        columns = some.member_id, some.unit.tolist(), some.t_end.tolist(), some.period.tolist()
+        for member_id, unit, t_end, period in zip(*columns, strict=True):
+            values = of(Run(self, str(member_id), t_end, period))
             if values is not None:
                 totals[unit] = totals.get(unit, 0.0) + np.append(values, 1.0)
         return totals

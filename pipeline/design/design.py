@@ -133,7 +133,7 @@ class Change:
             case Kind.RATIOS:
                 return "ratios redrawn"
         how = "" if self.reading in (None, DEFAULT_READING) else f" ({self.reading})"
-        return f"constants changed by up to {100 * self.size:.3g}%{how}"
+        return f"all constants changed by up to {100 * self.size:.3g}%{how}"
 
 
 class Coordinates(NamedTuple):

@@ -85,15 +85,16 @@ def test_shares_and_periods(data, settings):
     answered = fates.answer(Study(data(), settings))
     n_of = {"sliding": 3, "periodic": 5, "irregular": 1, "undecided": 1, "others": 2}
     assert {key: round(10 * share.estimate.value) for key, share in shares(answered).items()} == n_of
-    for key, share in shares(answered).items():
-        np.testing.assert_allclose([share.estimate.low, share.estimate.high], wilson(n_of[key], 10), rtol=1e-9)
+    for key, share in shares(answered).items():  # the undecided run may have each of the other outcomes
+        ends = wilson(n_of[key], 10)[0], wilson(n_of[key] + (key not in ("undecided", "others")), 10)[1]
+        np.testing.assert_allclose([share.estimate.low, share.estimate.high], ends, rtol=1e-9)
         assert share.basis.n == 10
     table = answered.tables["fates"].set_index("outcome")
     assert table["n_runs"].to_dict() == {key: n for key, n in n_of.items() if key != "others"}
     assert table["period"].dropna().to_dict() == {"periodic": 6.0}
     assert said(answered) == [
-        "50% (24 to 76%) of runs end on a limit cycle.",
-        "30% (11 to 60%) of runs end in steady sliding.",
+        "50% (24 to 83%) of runs end on a limit cycle.",
+        "30% (11 to 69%) of runs end in steady sliding.",
         "20% (6 to 51%) of runs stay irregular or are undecided.",
     ]
 
@@ -366,7 +367,7 @@ def test_runs_that_are_undecided_are_not_among_all(planted_runs, settings):
         for v in (1, 2) for s in range(5)
     ])  # fmt: skip
     answered = fates.answer(Study(data, settings))
-    assert said(answered) == ["40% (12 to 77%) of starts end on a limit cycle."]
+    assert said(answered) == ["40% (12 to 100%) of starts end on a limit cycle."]
 
 
 # ---------------------------------------------------------------------------------------------- what attracts where

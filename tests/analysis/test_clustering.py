@@ -1,5 +1,6 @@
 """Clustering beyond chance: closed forms against simulation, and what was planted is said."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -10,11 +11,12 @@ from stickslip.analysis import AnalysisSettings, Study
 from stickslip.analysis.findings.finding import Lack, Law, Level, Reason, Share
 from stickslip.analysis.findings.place import EVERYWHERE
 from stickslip.analysis.findings.words import sentence
-from stickslip.analysis.members import records
+from stickslip.analysis.members import records, shift_unit
 from stickslip.analysis.models.clustering import measure, own_gaps, pairs
 from stickslip.analysis.questions.slips import cascades, collective, triggering
 from stickslip.analysis.series.nulls import BlockSteps, rotated
 from stickslip.pipeline.design.units import Units
+from stickslip.pipeline.design.values import Course, Push, Pushes, Values
 from tests.analysis import studies
 from tests.analysis.designs import Data
 from tests.analysis.test_chance import times_of
@@ -86,6 +88,75 @@ def followers(rng, steps, share):
         t[k] = rng.choice(after) if len(after) else t[k]
     order = np.argsort(t)
     return BlockSteps(steps.t_start, steps.t_stop, t[order], steps.block[order], steps.step[order])
+
+
+PERIOD = 5.0
+FORCED = {"force_amplitude": 1.0, "force_frequency": 2.0 * np.pi / PERIOD}
+
+
+def driven(rng, own, shared=0.0, n=12):
+    """Blocks that a force lets go once in each of its periods, late by scatter of their own or that they share.
+
+    Each sticks again a little later.
+    """
+    k = int(SPAN / PERIOD) - 1
+    late = 1.0 + own * rng.uniform(-1.0, 1.0, (n, k)) + shared * rng.uniform(-1.0, 1.0, k)
+    slips = PERIOD * np.arange(k) + late + np.linspace(0.0, 0.3, n)[:, None]
+    t = np.stack([slips, slips + 0.6], axis=2).ravel()
+    block, step, order = np.repeat(np.arange(n), 2 * k), np.tile([-1, 1], n * k), np.argsort(t)
+    return BlockSteps(0.0, SPAN, t[order], block[order], step[order])
+
+
+def nulls_of(planted, runs, setting):
+    """Pairs and the decay rate of runs relative to time-shifted blocks."""
+    study = study_of(planted, runs, settings=(setting,))
+    (group,) = study.judged()
+    (row,) = cascades.answer(study).tables["law"].to_dict("records")
+    return [pairs.ratio for pairs in triggering.exits_of(study, group).pairs], row
+
+
+def test_a_phase_that_a_force_gives_to_all_blocks_is_no_excess_over_time_shifted_blocks(planted, rng):
+    """Without the period the same runs have one; blocks that are late together have it with the period too."""
+    alone, together = ([driven(rng, *scatter) for _ in range(8)] for scatter in ((0.5,), (0.05, 0.5)))
+    ratios, law = nulls_of(planted, alone, FORCED)
+    assert all(abs(ratio.value - 1.0) < 0.1 for ratio in ratios)
+    assert abs(law["over_shifted"]) < 0.05
+    assert nulls_of(planted, alone, {})[0][-1].low > 1.5
+    ratios, law = nulls_of(planted, together, FORCED)
+    assert all(ratio.low > 1.1 for ratio in ratios[:2])
+    assert law["over_shifted_high"] < -0.1
+
+
+@pytest.mark.parametrize(("own", "period"), [(0.0, PERIOD), (0.5, SPAN / 6.0)])
+def test_where_shifts_tell_nothing_of_coupling_there_is_no_null(planted, rng, own, period):
+    """Blocks that do the same in each period of the force, and a force of six periods."""
+    force = FORCED | {"force_frequency": 2.0 * np.pi / period}
+    study = study_of(planted, [driven(rng, own) for _ in range(8)], settings=(force,))
+    (lack,) = collective.answer(study).findings
+    assert lack.reason is Reason.NO_SHIFT
+    answered = cascades.answer(study)
+    assert Reason.NO_SHIFT.value in answered.method
+    assert not [finding for finding in answered.findings if "shifted" in sentence(finding)]
+
+
+def test_blocks_are_shifted_by_the_period_that_all_forces_share():
+    unforced = {"values": Values(), "force_frequency": None}
+    forces = [Pushes(tuple(Push((1.0, x, 0.0), None, None) for x in (1.0, ratio))) for ratio in (1.5, 2.0**0.5)]
+    shared, incommensurate = (unforced | {"values": Values({"forces": pushes}.items())} for pushes in forces)
+    belt = {"values": Values({"belt_speed": Course((0.0, 1.0), (0.2, 0.4))}.items())}
+    assert [shift_unit(setting) for setting in (unforced, unforced | {"force_frequency": 0.0})] == [0.0, 0.0]
+    assert shift_unit(unforced | {"force_frequency": 2.0}) == pytest.approx(np.pi)
+    assert shift_unit(shared) == pytest.approx(4.0 * np.pi)
+    assert np.isnan([shift_unit(setting) for setting in (incommensurate, unforced | belt)]).all()
+
+
+@pytest.mark.parametrize("tau", [0.1, 2.0, PERIOD, 12.0, 250.0])
+def test_pairs_of_rotation_by_periods_agree_with_simulation(rng, tau):
+    steps = replace(driven(rng, 0.5, n=6), t_stop=SPAN, n_periods=int(SPAN / PERIOD))
+    ((_, expected),) = measure(steps, [tau])
+    surrogates = [times_of(rotated(steps, rng), SPAN) for _ in range(300)]
+    drawn = np.array([pairs(t[is_exit], tau) for t, is_exit in surrogates])
+    assert abs(drawn.mean() - expected) < 5 * drawn.std() / np.sqrt(300) + 1e-9
 
 
 def exits_of(planted, runs):
@@ -185,6 +256,8 @@ def test_the_answer_leads_with_one_number_and_is_the_same_twice(planted, rng):
         assert len(sentence(one.findings[0]).split()) <= 25
         lead = one.findings[0]
         assert isinstance(lead, Law | Level | Share | Lack)
+        if isinstance(lead, Lack) and lead.reason is Reason.NOT_SHOWN:
+            assert "has no peak relative to" in one.figures["collective"].caption
         assert set(one.tables) == {"clustering", "spectrum"}
         for name, table in one.tables.items():
             pd.testing.assert_frame_equal(table, other.tables[name])

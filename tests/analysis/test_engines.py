@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import AnalysisSettings, Study
-from stickslip.analysis.contrast import Contrast, Statistic
-from stickslip.analysis.findings.finding import Lack, Outcomes, Reason, Verdict
+from stickslip.analysis import AnalysisSettings, Study, measures
+from stickslip.analysis.contrast import Contrast, Share, Statistic
+from stickslip.analysis.findings.finding import Lack, Outcomes, Reason, Scale, Verdict, levels
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.outcomes import differences, forest
 from stickslip.analysis.questions.runs.changes import answer
@@ -21,6 +21,7 @@ from tests.analysis.designs import Data
 SETTINGS = AnalysisSettings(
     t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0, margins={"mean": 0.1, "rate": 0.1, "gamma": 0.05}
 )
+NO_MARGINS = replace(SETTINGS, margins={})
 
 
 def asked(planted, shifts, thresholds=(), n_matrices=8, settings=SETTINGS):
@@ -143,6 +144,20 @@ def test_where_no_run_is_in_motion_that_is_the_reason(planted):
     assert answer(study).findings == [Lack("how far statistics of motion differ between engines", Reason.NO_MOTION)]
 
 
+def test_where_most_blocks_stick_those_that_slip_are_compared(planted):
+    """Beside a bound of 200, and not where the scene has a margin of what sticks."""
+    shifts = {("coulomb", 1e-6): 100, ("sigmoid", 1e-5): 102}
+    found = asked(planted, shifts, settings=NO_MARGINS)
+    (row,) = table_of(found, measures.MEAN_SLIPPING).itertuples()
+    assert not len(table_of(found))
+    assert row.difference == pytest.approx(-2)
+    names = {level.quantity.name for finding in found.findings for level in levels(finding)}
+    assert "mean number of slipping blocks" in names
+    assert "mean number of sticking blocks" not in names
+    for further, settings in ((shifts, SETTINGS), ({key: shift - 90 for key, shift in shifts.items()}, NO_MARGINS)):
+        assert len(table_of(asked(planted, further, settings=settings))) == 1
+
+
 def test_the_axis_holds_all_differences_and_the_interval_of_one_may_go_on_beyond():
     mean = Statistic("mean", ratio, 0.1)
 
@@ -159,5 +174,11 @@ def test_the_axis_holds_all_differences_and_the_interval_of_one_may_go_on_beyond
     assert 150.0 < ax.get_xlim()[1] < 350.0
     assert (near.get_xdata().tolist(), near.get_markerfacecolor()) == ([2.0], "white")
     assert (shown.get_xdata().tolist(), shown.get_markerfacecolor()) == ([20.0], EXACT)
+    assert ax.get_xlabel() == "difference in %"
+    share = {"statistic": Share("share", ratio), "scale": Scale.ABSOLUTE}
+    of_share = [replace(row, contrast=replace(row.contrast, **share)) for row in rows[:2]]
+    assert list(forest(None, [*rows[:2], of_share[0]], "differences")) == ["contrasts"], "one mark is no figure"
+    (ax,) = forest(None, [*rows, *of_share], "differences")["contrasts_of_shares"].recipe().axes
+    assert ax.get_xlabel() == "difference in percentage points"
     assert forest(None, rows, "differences")["contrasts"].caption.startswith("Filled marks are significant")
     assert forest(None, rows[:2], "differences")["contrasts"].caption.startswith("There are no significant")

@@ -78,7 +78,7 @@ def test_the_effect_on_single_systems_is_not_that_on_their_mean(rng, planted, st
     (within,) = asked(ensemble(rng, planted, lambda own: own), replace(strict, margins={"mean": 0.05}))[0].findings[
         :1
     ]
-    assert within.equal == ("a change of constants of 10%",)
+    assert within.equal == ("a change of all constants of 10%",)
 
 
 def test_matrices_that_are_alike_tell_nothing(rng, planted, settings):

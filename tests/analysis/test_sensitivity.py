@@ -12,7 +12,7 @@ from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models.growth import growth
 from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, level
 from stickslip.analysis.pairs import settings as sorted_settings
-from stickslip.analysis.questions.runs.sensitivity import answer
+from stickslip.analysis.questions.runs.sensitivity import HALF, answer
 from stickslip.analysis.series import parting
 from tests.analysis.designs import Data
 
@@ -58,8 +58,8 @@ def test_what_was_not_measured_is_not_said_to_be_unknown(rng, planted, settings)
     parted, rate = answer(Study(Data(changed, data.series), settings)).findings
     assert (parted.estimate.value, rate.reason) == (1.0, Reason.NOT_RUN)
     assert sentence(parted) == (
-        "At n = 200, exact, with constants changed by up to 1%, all 12 copies (lower bound 76%) are still together"
-        " at t = 1000."
+        f"All 12 copies (lower bound 76%) do not differ {HALF} up to t = 1000."
+        " Setting: n = 200, exact, with all constants changed by up to 1%."
     )
     settled = answer(Study(Data(changed.assign(outcome="collapsed"), data.series), settings)).findings
     assert [finding.reason for finding in settled] == [Reason.NOT_RUN, Reason.NO_REFERENCE]
@@ -144,7 +144,7 @@ def test_when_copies_part(rng, planted, settings):
     assert parted.estimate.value == pytest.approx(410, abs=10)
     _, parted = answer(Study(ensemble(rng, planted, 0.01, t_part=2 * T_END), settings)).findings
     (row,) = levels(parted)
-    assert (row.quantity.name, row.basis.n) == ("share of copies that are still together at t = 1000", 12)
+    assert (row.quantity.name, row.basis.n) == (f"share of copies that do not differ {HALF} up to t = 1000", 12)
     assert (row.estimate.value, row.estimate.low, row.estimate.high) == pytest.approx((1.0, 0.757, 1.0), abs=1e-3)
 
 
@@ -154,15 +154,15 @@ def test_runs_that_ran_away_are_watched_until_then(rng, planted, settings):
     members = data.members
     members.loc[away, ["outcome", "t_stop"]] = ["diverged", 300.0]
     parted = answer(Study(replace(data, table=members), settings)).findings[1]
-    # the number of systems is of those that tell when copies part, all of them here, and the others are counted
+    # until then they count among those at risk
     assert isinstance(parted, Lifetime)
-    assert parted.basis.n == 8
-    assert "4 of 12 systems grew without limit before" in str(parted.where)
+    assert parted.basis.n == 12
+    assert "4 of 12 grew without limit first" in str(parted.where)
     apart = ensemble(rng, planted, 0.01, t_part=2 * T_END)
     members = apart.members
     members.loc[away, ["outcome", "t_stop"]] = ["diverged", 300.0]
     parted = answer(Study(replace(apart, table=members), settings)).findings[1]
-    assert sentence(parted).startswith("All 8 copies (lower bound 68%) are still together at t = 1000.")
+    assert sentence(parted).startswith(f"67% (39 to 86%) of copies do not differ {HALF} up to t = 1000")
     members.loc[members["twin_size"].notna(), ["outcome", "t_stop"]] = ["diverged", 300.0]
     assert answer(Study(replace(apart, table=members), settings)).findings[-1].reason is Reason.NO_REFERENCE
 

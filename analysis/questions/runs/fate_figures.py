@@ -192,9 +192,7 @@ def _basin(study: Study, grid: Grid) -> dict[str, Picture]:
     rows = portions(study, runs)
     if starts is None or len(rows) == 1:
         return {}
-    numbers = np.select(
-        [(runs.said == row.outcome) & (runs.cycles == (row.cycle or 0)) for row in rows], range(len(rows))
-    )
+    numbers = np.select([runs.in_outcome(row.outcome, row.cycle) for row in rows], range(len(rows)))
     which = str(setting.where) if len(grid.settings) > 1 else ""
     which = which or ("the system whose starts differ most" if len(systems) > 1 else "")
     caption = f"Each colour is a basin. Final state by initial condition{f' ({which})' if which else ''}."
@@ -212,7 +210,7 @@ def _systems(study: Study, grid: Grid) -> Iterator[tuple[Setting, Runs]]:
 
 def _n_apart(runs: Runs) -> int:
     """How many runs have another outcome than most."""
-    return len(runs.rows) - max(Counter(zip(runs.said, runs.cycles, strict=True)).values())
+    return len(runs.rows) - max(Counter(zip(runs.kinds, runs.cycles, strict=True)).values())
 
 
 def _starts(study: Study, runs: Runs) -> attractors.Plane | None:
@@ -282,13 +280,15 @@ def _survival(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> Pictur
     alike = [*by_key(range(len(chosen)), course).values()]
     named_curves = {name(same): curves[chosen[same[0]].where] for same in alike}
     t_end = max(setting.t_end for setting in settings)
-    level = f"; bands: {100 * study.settings.confidence:g}% intervals, of curves that end between 0 and 100%"
-    level *= any(map(_has_band, named_curves.values()))
     kinds = {kind for setting in chosen for kind in setting.runs.kinds}
-    slides = f"at last events{', proved to be last or not,' * (fates.QUIET in kinds)}"
+    level = f"; bands: {100 * study.settings.confidence:g}% intervals, of curves that end between 0 and 100%"
+    level += "; their upper ends count runs that may stick again as still going" * (fates.QUIET in kinds)
+    level *= any(map(_has_band, named_curves.values()))
+    slides = "at the last event of each run that slides at its end"
+    slides += " (unless it will stick again)" * (fates.LULL in kinds)
     ends = [slides] * bool(kinds & {attractors.SLIDING, fates.QUIET})
     ends += ["where motion grows without limit"] * (attractors.ESCAPING in kinds)
-    see = f"Curves fall {listed(ends).removesuffix(',')}. " if ends else ""
+    see = f"Curves step down {listed(ends)}. " if ends else ""
     count = f" {len(chosen)} of {len(settings)} settings are drawn." * (len(chosen) < len(settings))
     caption = f"{see}Share of runs still going{level}.{count}"
     colours = hues(study, [chosen[same[0]].groups[0].label for same in alike])

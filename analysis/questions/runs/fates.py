@@ -2,7 +2,7 @@
 
 Survival is by Kaplan and Meier. Certified runs, and those whose motion grew without limit, ended: see
 `models.fates.ends_at`. Runs that slide without a certificate count as ended at their last events, and the
-upper ends of intervals take them as going on. All others are censored at t_end.
+upper ends of intervals take them as going on; of shares see `Runs.may_be`. All others are censored at t_end.
 """
 
 from __future__ import annotations
@@ -73,12 +73,11 @@ TO_GROWTH = replace(LIFETIME, name="median time to unbounded growth")
 TO_SLIDING = replace(LIFETIME, name="median time to sliding")
 DELAY = Quantity("last_event", "median of the delays of the last event, {0} by {0}", dimension="time")
 MEAN = Quantity("mean", "mean number of sticking blocks in runs still going")
-PROVED = "proved", "sliding runs", "are proved not to stick again"
 PERIOD = Quantity("period", "period of the cycle", dimension="time")
 METHOD = (
-    "A run is over at its last event, if it is proved that no block sticks again, or when its motion has grown"
-    " without limit; survival and medians are Kaplan-Meier estimates. Sliding runs that may stick again count as"
-    " over; the upper ends of intervals count them as still going."
+    "A run ends in steady sliding if it is proved that no block sticks again; without a proof it may, and intervals"
+    " count such runs either way. A run is over at its last event if it slides at its end (unless it will stick"
+    " again), or when its motion has grown without limit; survival and medians are Kaplan-Meier estimates."
 )
 METHOD_OF_ATTRACTORS = (
     "Each run is followed on from its end: a cycle repeats its events and comes back to its state, steady sliding and"
@@ -107,7 +106,7 @@ class Ends(NamedTuple):
     @property
     def quantity(self) -> Quantity:
         """The median time to the end that its runs come to, or may have."""
-        slides, grows = ((self.setting.runs.said == kind).any() for kind in (SLIDING, ESCAPING))
+        slides, grows = (np.isin(self.setting.runs.kinds, ends).any() for ends in ((SLIDING, QUIET), ESCAPING))
         return LIFETIME if slides and grows else TO_GROWTH if grows else TO_SLIDING
 
 
@@ -188,14 +187,11 @@ def _findings(study: Study, grid: Grid, ends: Sequence[Ends]) -> tuple[list[Endi
     leading: list[Ending] = []
     further: list[Ending] = []
     methods = grid.methods
-    outcomes = [
-        {setting.label: (setting.kinds, setting.is_certified) for setting in settings}
-        for settings in methods.values()
-    ]
+    outcomes = [{setting.label: setting.kinds for setting in settings} for settings in methods.values()]
     is_alike = len(methods) > 1 and all(places == outcomes[0] for places in outcomes)
     is_alike &= all(len(setting.kinds) < 2 for setting in grid.settings)  # shares differ between methods
     is_one = len({setting.kinds for setting in grid.settings}) == 1 and len(grid.settings[0].kinds) == 1
-    reference = {setting.label: setting.kinds for setting in next(iter(methods.values()), [])}
+    reference = outcomes[0] if outcomes else {}
     for k, (method, settings) in enumerate(methods.items()):
         if k == 0 or not is_alike:
             where = Place.words("with every engine") if is_alike else Place.of(method)
@@ -214,7 +210,7 @@ def _findings(study: Study, grid: Grid, ends: Sequence[Ends]) -> tuple[list[Endi
         leading += [_lifetime(study, row) for row in lifetimes if row is lead]
         further += [_lifetime(study, row) for row in lifetimes if row is not lead]
     with_ends = [row.setting for row in ends]
-    secondary: list[Finding] = [*_delays(study), *_proofs(study, with_ends), *_stability(study, with_ends)]
+    secondary: list[Finding] = [*_delays(study), *_stability(study, with_ends)]
     return leading, further, [*secondary, *_means(study, with_ends)]
 
 
@@ -249,13 +245,13 @@ def _outcomes(
 
 
 def _shares(study: Study, settings: Sequence[Setting], where: Place, most: int | None = None) -> list[Share | Alike]:
-    """The share of each outcome at some settings, those with a published share and of most runs first.
+    """The share of each outcome at some settings, those with a published share and of most runs known first.
 
     Of more than so many outcomes, what the first ones leave is said together before the last of these.
     """
     published, runs = study.settings.published, together(settings)
     rows = portions(study, runs, besides=published)
-    rows.sort(key=lambda row: (row.outcome not in published, row.outcome == UNDECIDED, -row.n_runs))
+    rows.sort(key=lambda row: (row.outcome not in published, row.outcome in (QUIET, UNDECIDED), -row.n_runs))
     n_cycles = sum(row.outcome == PERIODIC for row in rows)
     basis = Basis(len(np.unique(runs.units)), unit(study, settings))
     name = things(basis)
@@ -330,27 +326,10 @@ def _stability(study: Study, settings: Sequence[Setting]) -> Iterator[Share]:
         ):
             if chosen.any() and kind in occurring:
                 name, key = f"runs with a linearly {state} all-slip state", f"{state}_{kind}"
-                yield _share_among(study, setting, chosen, kind, (key, name, PREDICATES[kind]))
-
-
-def _proofs(study: Study, settings: Sequence[Setting]) -> Iterator[Share]:
-    """How many of the sliding runs are proved to go on so, which no setting says where all are.
-
-    Where a proof is sought only if it saves time, that says nothing of the runs. Those without a proof are no random
-    part of all, and engines differ in how often one succeeds.
-    """
-    if study.seeks_proofs and not all(setting.is_certified for setting in settings):
-        for setting in settings:
-            if (slides := setting.runs.said == SLIDING).any():
-                yield _share_among(study, setting, slides, SLIDING, PROVED)
-
-
-def _share_among(study: Study, setting: Setting, chosen: np.ndarray, kind: str, names: tuple[str, str, str]) -> Share:
-    """The share with a kind of outcome among some runs of a setting; its names are key, things and predicate."""
-    runs = setting.runs.at(chosen)
-    share = share_of(runs.kinds == kind, np.zeros(len(runs.rows)), runs.units, study.settings.confidence)
-    basis = Basis(len(np.unique(runs.units)), noun(study.unit))
-    return Share(*names, share, setting.where, None, basis, len(runs.rows))
+                runs = setting.runs.at(chosen)
+                share = share_of(runs.kinds == kind, runs.may_be(kind), runs.units, study.settings.confidence)
+                basis = Basis(len(np.unique(runs.units)), noun(study.unit))
+                yield Share(key, name, PREDICATES[kind], share, setting.where, None, basis, len(runs.rows))
 
 
 def _means(study: Study, settings: Sequence[Setting]) -> list[Level]:

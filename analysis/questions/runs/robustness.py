@@ -174,7 +174,7 @@ def _named(change: Change) -> Variant:
     if change.kind == design.Kind.RATIOS:
         return Variant("a draw of other stiffness ratios")
     how = "" if change.reading in (None, DEFAULT_READING) else f" ({change.reading})"
-    return Variant("", f"a change of constants{how}", 100.0 * change.size, "%")
+    return Variant("", f"a change of all constants{how}", 100.0 * change.size, "%")
 
 
 def _effects(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[tuple[str, Level]]:

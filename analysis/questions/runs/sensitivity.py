@@ -34,7 +34,8 @@ CEILING = 3e-2  # of distances that still grow in proportion
 SMALL = 0.1  # largest displacement of a start for a growth rate, as a share of the ceiling
 FLOOR, TOLERANCES = 1e-13, 10.0  # floor of exact engines; that of others is so many times their relative tolerance
 RATE = Quantity("rate", "growth rate of small differences, per unit of time", dimension="frequency")
-PARTED = Quantity("parted", "median time until copies part from the original", dimension="time")
+HALF = "from the original half as much as another system"  # see `parting.SHARE`
+PARTED = Quantity("parted", f"median time until copies differ {HALF}", dimension="time")
 
 
 def _method(study: Study) -> str:
@@ -42,10 +43,10 @@ def _method(study: Study) -> str:
     return (
         f"The growth rate is the slope of log distance over time from t = {settings.at(T_FROM * settings.time)} on,"
         f" while all pairs lie between a floor ({FLOOR:g}, or {TOLERANCES:g} rtol under a smoothed law) and"
-        f" {CEILING:g}; none is given where more than a tenth of the pairs leave that range. Copies have parted when"
-        f" |difference of n_stick|, averaged over {parting.SPAN * settings.time:g} {unit}, first reaches"
-        f" {100 * parting.SHARE:g}% of what two systems show after t_burn while both are followed."
-        " A pair is followed until the motion of one of its runs grows without limit."
+        f" {CEILING:g}; none is given where more than a tenth of the pairs leave that range."
+        f" Copies differ half as much when |difference of n_stick|, averaged over {parting.SPAN * settings.time:g}"
+        f" {unit}, first reaches {100 * parting.SHARE:g}% of what two systems show after t_burn while both are"
+        " followed. A pair is followed until the motion of one of its runs grows without limit."
     )
 
 
@@ -116,10 +117,10 @@ class Rate(NamedTuple):
 
 
 class Parting(NamedTuple):
-    """When the copies with one change have parted from their base, in how many systems that is known.
+    """When the copies with one change have parted from their base.
 
-    `together` is the share of these whose copies are together at the `horizon`; in `n_grew` other systems the motion
-    of one of the two grew without limit before they parted.
+    `together` is the share of systems whose copies are together at the `horizon`; in `n_grew` others the motion of
+    one of the two grew without limit before they parted.
     """
 
     setting: PairSet
@@ -212,9 +213,10 @@ def _partings(study: Study, setting: PairSet) -> Iterator[Parting]:
         has_parted = pairs.has_parted[firsts]
         times = np.where(has_parted, pairs.t[firsts], pairs.t_stop[firsts])
         n_grew = int(np.sum(~has_parted & (times < t_end)))
-        if n_systems := len(times) - n_grew:
+        n_systems = len(times)
+        if n_grew < n_systems:
             half = median(times, has_parted, study.settings.confidence)
-            n_left = n_systems - int(has_parted.sum())
+            n_left = n_systems - n_grew - int(has_parted.sum())
             together = Estimate(n_left / n_systems, *wilson(n_left, n_systems, study.settings.confidence))
             yield Parting(setting, comparison.change, pairs, half, together, n_systems, n_grew, horizon)
 
@@ -233,18 +235,17 @@ def _finding(alike: Sequence[Parting]) -> Lifetime | Share:
     """The median time until copies part, or the share still together, of changes that have the same outcome."""
     example, sizes = alike[0], listed([shown(parted.change.size) for parted in alike], "or")
     change = {
-        CONSTANTS: f"constants changed by up to {100 * example.change.size:g}%",
+        CONSTANTS: f"all constants changed by up to {100 * example.change.size:g}%",
         START: f"starts moved by {sizes}",
         RATIOS: "other stiffness ratios",
     }[example.change.kind]
     where = Place.of(example.setting.label) + Place.words(f"with {change}")
     if example.n_grew:
-        n_all = example.n_systems + example.n_grew
-        where += Place.words(f"{example.n_grew} of {n_all} systems grew without limit before")
+        where += Place.words(f"{example.n_grew} of {example.n_systems} grew without limit first")
     basis = Basis(example.n_systems)
     if example.half.value is not None:
         return Lifetime(PARTED, example.half, where, basis=basis)
-    n, predicate = sum(parted.n_systems for parted in alike), f"are still together at t = {example.horizon}"
+    n, predicate = sum(parted.n_systems for parted in alike), f"do not differ {HALF} up to t = {example.horizon}"
     return Share("together", "copies", predicate, example.together, where, basis=basis, n=n)
 
 

@@ -71,11 +71,6 @@ class Runs(NamedTuple):
     exits: np.ndarray
     cycles: np.ndarray
 
-    @property
-    def said(self) -> np.ndarray:
-        """Kinds, where sliding is one with a proof and without."""
-        return np.where(self.kinds == fates.QUIET, attractors.SLIDING, self.kinds)
-
     def at(self, chosen: np.ndarray) -> Runs:
         return Runs(*(column[chosen] for column in self))
 
@@ -83,8 +78,13 @@ class Runs(NamedTuple):
         return int(np.sum(self.kinds == kind))
 
     def in_outcome(self, kind: str, cycle: int | None) -> np.ndarray:
-        """Which runs have an outcome, as said."""
-        return np.asarray((self.said == kind) & (self.cycles == (cycle or 0)))
+        """Which runs have an outcome."""
+        return np.asarray((self.kinds == kind) & (self.cycles == (cycle or 0)))
+
+    def may_be(self, kind: str) -> np.ndarray:
+        """Which runs of unknown outcome may have this one: sliding without a proof is steady, or sticks again."""
+        unproved = (self.kinds == fates.QUIET) & (kind in (attractors.SLIDING, fates.SUSTAINED))
+        return unproved | ((self.kinds == attractors.UNDECIDED) & (kind != attractors.UNDECIDED))
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +118,6 @@ class Setting:
         return Place.of(self.label) + Place.of(self.method)
 
     @property
-    def is_certified(self) -> bool:
-        """Whether each run that slides is proved to go on so."""
-        return not self.runs.n_of(fates.QUIET)
-
-    @property
     def t_end(self) -> float:
         return float(self.groups[0].key["t_end"])
 
@@ -133,7 +128,7 @@ class Setting:
     @cached_property
     def kinds(self) -> tuple[Outcome, ...]:
         """What its runs do in the end, each once."""
-        known = {*self.runs.said.tolist()} - {attractors.UNDECIDED}
+        known = {*self.runs.kinds.tolist()} - {attractors.UNDECIDED}
         return tuple(Outcome(kind) for kind in OUTCOMES if kind in known)
 
     @cached_property
@@ -270,18 +265,14 @@ def told_apart(study: Study, runs: Runs) -> Runs:
 
 def predicates(study: Study, outcomes: Sequence[Outcome], settings: Sequence[Setting]) -> tuple[str, ...]:
     """What runs at some settings do, a verb phrase each; the first that may yet change says when."""
-    words = [_words(outcome, settings) for outcome in outcomes]
+    words = [*map(_words, outcomes)]
     ends = {setting.t_end for setting in settings}
     when = f" at t = {study.settings.at(ends.pop())}" if len(ends) == 1 else " at their end"
     place = next((k for k, word in enumerate(words) if "{}" in word), 0)
     return tuple(word.format(when if k == place else "") for k, word in enumerate(words))
 
 
-def _words(outcome: Outcome, settings: Sequence[Setting]) -> str:
-    n_quiet = sum(setting.runs.n_of(fates.QUIET) for setting in settings)
-    if outcome.kind == attractors.SLIDING and n_quiet:
-        is_partly = any(setting.runs.n_of(attractors.SLIDING) for setting in settings)
-        return f"slide steadily{{}} ({n_quiet:,} may stick again)" if is_partly else PREDICATES[fates.QUIET]
+def _words(outcome: Outcome) -> str:
     exits = f" of {plural(outcome.exits, 'exit')} per period" if outcome.exits else ""
     return PREDICATES[outcome.kind] + exits
 
@@ -319,16 +310,15 @@ class Portion:
 def portions(study: Study, runs: Runs, name: str = "", besides: Iterable[str] = ()) -> list[Portion]:
     """The outcomes of some runs in the order of pages, and kinds besides, with no runs if no run has them.
 
-    Sliding runs that may stick again widen the interval of what sticks.
+    A share is of the runs that are shown to have an outcome, its interval also of those that may (`Runs.may_be`).
     """
-    outcomes = {*zip(runs.said.tolist(), runs.cycles.tolist(), strict=True)}
-    outcomes |= {(kind, 0) for kind in {*besides} - {*runs.said.tolist()}}
+    outcomes = {*zip(runs.kinds.tolist(), runs.cycles.tolist(), strict=True)}
+    outcomes |= {(kind, 0) for kind in {*besides} - {*runs.kinds.tolist()}}
     order = sorted(outcomes, key=lambda pair: (OUTCOMES.index(pair[0]), pair[1] or MOST_CYCLES + 1))
     rows = []
     for kind, cycle in order:
         has = runs.in_outcome(kind, cycle)
-        untold = (runs.kinds == fates.QUIET) & (kind == fates.SUSTAINED)
-        share = share_of(has, untold, runs.units, study.settings.confidence)
+        share = share_of(has, runs.may_be(kind), runs.units, study.settings.confidence)
         row = Portion(name, kind, cycle or None, int(has.sum()), len(has), share)
         if kind == attractors.PERIODIC and has.any():
             period, multiplier = (study.number(number)[runs.rows[has]] for number in ("period", "multiplier"))
@@ -398,18 +388,18 @@ def regimes(
 
 
 def _regime(study: Study, where: Place, settings: Sequence[Setting], outcomes: Sequence[Outcome]) -> Regime:
-    """What runs do at some settings, with the share that the first outcome has; it is unknown of the undecided."""
+    """What runs do at some settings, with the share that is shown to have the first outcome."""
     runs, level = together(settings), study.settings.confidence
-    untold = runs.kinds == attractors.UNDECIDED
-    in_order = sorted(outcomes, key=lambda outcome: "{}" in _words(outcome, settings))
-    has = (runs.said == in_order[0].kind) & ((runs.exits == in_order[0].exits) | (in_order[0].exits == 0))
+    in_order = sorted(outcomes, key=lambda outcome: "{}" in _words(outcome))
+    has = (runs.kinds == in_order[0].kind) & ((runs.exits == in_order[0].exits) | (in_order[0].exits == 0))
     n_units = max(setting.n_units for setting in settings)
     share, is_of_each = Estimate(float(has.mean())), False
     if n_units >= LEAST_UNITS:  # settings that share their draws count once
-        share = share_of(has, untold, runs.units, level)
+        share = share_of(has, runs.may_be(in_order[0].kind), runs.units, level)
         if has.all():
             is_of_each = len(settings) > 1
             share = Estimate(1.0, wilson(n_units, n_units, level)[0], 1.0)
-    words = predicates(study, [*in_order, *[Outcome(attractors.UNDECIDED)] * bool(untold.any())], settings)
+    undecided = [Outcome(attractors.UNDECIDED)] * bool(runs.n_of(attractors.UNDECIDED))
+    words = predicates(study, [*in_order, *undecided], settings)
     basis = Basis(n_units, unit(study, settings))
     return Regime(in_order[0].kind, things(basis), words, int(has.sum()), len(has), share, where, basis, is_of_each)

@@ -213,19 +213,24 @@ def answer(study: Study) -> Answer:
         alerts=_alerts(study, lead),
         tables={**tables, **definitions.tables},
         figures={**_figures(study, lead, with_rate, sizes), **definitions.figures},
-        method=_method(study),
+        method=_method(study, lead),
     )
 
 
-def _method(study: Study) -> str:
+def _method(study: Study, lead: Sums | None = None) -> str:
     smallest = study.settings.smallest
+    is_forced = lead is not None and lead.group.shift_unit != 0
+    by = "random number of periods of the force" if is_forced else "random time"
+    shifted = f"each shifted by a {by}, {min(study.settings.resamples, SHIFTS)} draws per run"
+    if lead is not None and is_forced and not lead.is_shifted:
+        shifted = Reason.NO_SHIFT.value
     return (
         "A cascade is a run of slip onsets with no arrest in between, and s is their number. The geometric "
         f"distribution f ∝ exp(−γ s){f' from {smallest} on' * (smallest > 1)} is fitted by maximum likelihood, with "
         f"intervals over {noun(study.unit)}s; with p = 1/2, γ is ln 2. Three effects shift γ from there and may "
         "cancel: finite size, alone in independent two-state blocks (as many, without memory, the same mean number "
-        "sticking); each block's own dynamics, also in time-shifted blocks (each shifted by a random time, "
-        f"{min(study.settings.resamples, SHIFTS)} draws per run); coupling, in the runs alone."
+        "sticking); each block's own dynamics, also in time-shifted blocks "
+        f"({shifted}); coupling, in the runs alone."
     )
 
 
@@ -264,7 +269,7 @@ def _sums(study: Study, group: Group) -> Sums:
 
 def _in_parts(study: Study, sums: Sums) -> Sums:
     """With what runs say by parts, and with their blocks shifted in time."""
-    n_columns, draws = 3 + 2 * PARTS, min(study.settings.resamples, SHIFTS)
+    n_columns, draws = 3 + 2 * PARTS, min(study.settings.resamples, SHIFTS) * study.can_shift(sums.group)
     totals = study.sums(sums.group, partial(_of_run, sums.smallest, draws), n_columns)
     totals = totals[sums.group.counts[:, sums.smallest - 1 :].sum(axis=1) > 0]
     rows = np.hstack([sums.rows[:, :3], totals[:, :3], sums.rows[:, 6:]])
@@ -274,8 +279,8 @@ def _in_parts(study: Study, sums: Sums) -> Sums:
 def _of_run(least: int, draws: int, run: Run) -> np.ndarray:
     """`cascades.moments` of a run's blocks shifted in time, and total size and number of cascades in parts of it."""
     shifted = np.zeros(3)
-    if run.steps is not None:
-        shifted = nulls.moments(run.steps, draws, run.generator(), least)
+    if run.shiftable is not None:
+        shifted = nulls.moments(run.shiftable, draws, run.generator(), least)
     cascades = spans(run.win)
     size = cascades.size - (least - 1)
     places = (PARTS * (cascades.start - run.win.t_start) / (run.win.t_stop - run.win.t_start)).astype(np.int64)

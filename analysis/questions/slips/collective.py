@@ -39,9 +39,10 @@ PERIOD = Quantity("period", "natural period of slow common motion", dimension="t
 SHARE = Quantity("share", f"share of the variance of {N_STICK} that comes from slow common motion", Form.SHARE)
 DEVIANCE = Quantity("deviance", "deviance of the slow spectrum from the fit")
 _METHOD = (
-    "Time-shifted blocks are each block's own history, shifted by a random time; slow common motion, with periods"
-    f" longer than {CYCLES:g} cycles of a single block, is shown if its power is more concentrated than in 95% of"
-    f" {SURROGATES} such surrogates, and is fitted as a damped oscillator beside a share of the blocks' own power."
+    "Time-shifted blocks are each block's own history, shifted by a random time, or by a random number of periods of"
+    f" the force; slow common motion, with periods longer than {CYCLES:g} cycles of a single block and than the"
+    f" force's, is shown if its power is more concentrated than in 95% of {SURROGATES} such surrogates, and is fitted"
+    " as a damped oscillator beside a share of the blocks' own power."
     " Up to Q = 1/2 it is overdamped; with Q near 1 the spectrum has a broad peak, and the motion loses phase within"
     " a period. Slip onsets soon after another are compared with those of time-shifted blocks, adjusted for the"
     " number of comparisons."
@@ -55,7 +56,8 @@ def answer(study: Study) -> Answer:
         return Answer(findings=[motions])
     motions.sort(key=lambda motion: not motion.is_shown)  # of like ones the first leads
     if not motions:
-        return Answer(findings=[Lack(WHAT, Reason.FEW_EVENTS)])
+        is_free = any(group.shift_unit == 0 for group in study.judged())
+        return Answer(findings=[Lack(WHAT, Reason.FEW_EVENTS if is_free else Reason.NO_SHIFT)])
     level, lead, where_of, unit = study.settings.confidence, motions[0], places(study), noun(study.unit)
     exits, where = exits_of(study, lead.group), where_of[lead.group.label]
     bands = {motion.group.label: motion.bands(level) for motion in motions[:MOST_GROUPS]}
@@ -136,7 +138,7 @@ def _lacking(motion: Slow, where: Place, settings: AnalysisSettings) -> Lack:
 
 def _picture(recipe: Recipe, motion: Slow, n_drawn: int, n: int) -> Picture:
     """Power at long periods beside that of time-shifted blocks, in the words of the setting that leads."""
-    shows = {Shown.SLOW: "rises above", Shown.NONE: "does not rise above"}
+    shows = {Shown.SLOW: "rises above", Shown.NONE: "has no peak relative to"}
     lines = "; lines: fitted damped oscillators, with Q where the fit holds" * motion.is_shown
     count = f" {n_drawn} of {n} settings are drawn." * (n_drawn < n)
     return Picture(

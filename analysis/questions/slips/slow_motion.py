@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -23,6 +24,7 @@ from stickslip.analysis.models.common_motion import (
     Shown,
     Spectra,
 )
+from stickslip.analysis.series.nulls import whole_periods
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.estimates import Estimate
@@ -115,7 +117,9 @@ def slow_motions(study: Study, what: str) -> list[Slow] | Lack:
     """Slow common motion of each group that may be judged; or why something, a noun phrase, cannot be told of any."""
     if not study.data.events:
         return Lack(what, Reason.NOT_RECORDED, "set events = true under [record]")
-    judged = study.judged()
+    judged = [group for group in study.judged() if study.can_shift(group)]
+    if not judged and study.judged():
+        return Lack(what, Reason.NO_SHIFT)
     motions = [motion for group in judged if (motion := study.once(slow_motion, group)) is not None]
     return motions if judged else lack(study, what)
 
@@ -138,14 +142,19 @@ def together(fitted: Sequence[Slow]) -> Goodness:
 
 
 def slow_motion(study: Study, group: Group) -> Slow | None:
-    """The spectra and the slow common motion of a group; None if fewer than two units have exits."""
-    span = float(group.key["t_end"]) - study.settings.t_burn
+    """The spectra and the slow common motion of a group; None if fewer than two units have exits.
+
+    Slow is slower than a force too: at its frequency the phase is no motion of the blocks' own.
+    """
+    t_end = float(group.key["t_end"])
+    t_start, n_periods = whole_periods(study.settings.t_burn, t_end, group.shift_unit)
+    span = t_end - t_start
     cycles, n_runs = study.sums(group, _cycle, 1).T
     has_exits = n_runs > 0
     if np.count_nonzero(has_exits) < 2:
         return None
     cycle = float(cycles.sum() / n_runs.sum())
-    m = common_motion.n_harmonics(span, CYCLES * cycle)
+    m = min(common_motion.n_harmonics(span, CYCLES * cycle), n_periods - 1 if n_periods else sys.maxsize)
     sums = study.sums(group, partial(_spectrum, m), 2 * m + 1)[has_exits]
     n_runs = sums[:, -1]
     means = sums[:, : 2 * m].reshape(-1, 2, m) / n_runs[:, None, None]
@@ -157,14 +166,14 @@ def slow_motion(study: Study, group: Group) -> Slow | None:
 
 def _cycle(run: Run) -> np.ndarray | None:
     """Time in which each block that slips does so once, on average; None for a run without exits or events."""
-    if run.steps is None or not len(run.steps.exits[0]):
+    if run.shiftable is None or not len(run.shiftable.exits[0]):
         return None
-    t, block = run.steps.exits
-    return np.array([np.count_nonzero(np.bincount(block)) * run.steps.span / len(t)])
+    t, block = run.shiftable.exits
+    return np.array([np.count_nonzero(np.bincount(block)) * run.shiftable.span / len(t)])
 
 
 def _spectrum(m: int, run: Run) -> np.ndarray | None:
     """`periodogram` of a run, and its variance in time; None as `_cycle`."""
-    if run.steps is None or not len(run.steps.exits[0]):
+    if run.shiftable is None or not len(run.shiftable.exits[0]):
         return None
-    return np.append(common_motion.periodogram(run.steps, m), run.win.time_variance())
+    return np.append(common_motion.periodogram(run.shiftable, m), run.win.time_variance())

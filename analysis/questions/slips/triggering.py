@@ -14,6 +14,7 @@ from stickslip.analysis.findings.place import Place
 from stickslip.analysis.groups import Group
 from stickslip.analysis.models.clustering import measure
 from stickslip.analysis.rows import Columns
+from stickslip.analysis.series.nulls import whole_periods
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
@@ -98,7 +99,8 @@ def triggered(exits: Exits, where: Place, unit: str) -> list[Share]:
 
 def exits_of(study: Study, group: Group) -> Exits | None:
     """Exits of a group beside time-shifted blocks; None if fewer than two units have them."""
-    span, confidence = float(group.key["t_end"]) - study.settings.t_burn, study.settings.confidence
+    t_end, confidence = float(group.key["t_end"]), study.settings.confidence
+    span = t_end - whole_periods(study.settings.t_burn, t_end, group.shift_unit)[0]
     taus = sorted(tau for tau in study.settings.tau if 2 * tau <= span)
     if not taus:
         return None
@@ -128,9 +130,9 @@ def compare(label: str, rows: np.ndarray, exits: np.ndarray, taus: Sequence[floa
 
 def _of_run(taus: Sequence[float], run: Run) -> np.ndarray | None:
     """`measure` of a run and its number of exits; None without events, or with fewer than two exits."""
-    if run.steps is None:
+    if run.shiftable is None:
         return None
     try:
-        return np.append(measure(run.steps, taus), len(run.steps.exits[0]))
+        return np.append(measure(run.shiftable, taus), len(run.shiftable.exits[0]))
     except Undefined:
         return None
