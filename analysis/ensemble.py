@@ -223,7 +223,7 @@ class Study:
     def ended(self, rows: np.ndarray) -> Ended:
         """How the runs of some members ended, by their rows and in their order."""
         table = self.data.table
-        columns = pd.DataFrame({name: table.own[name].iloc[rows] for name in _ENDS if name in table.own})
+        columns = table.own[[name for name in _ENDS if name in table.own]].iloc[rows]
         settings = columns["setting"].to_numpy()
         n, t_end, period = (column[settings] for column in table.windows)
         t_stop, rates = (columns[name].to_numpy(np.float64, na_value=np.nan) for name in ("t_stop", "growth_rate"))

@@ -192,27 +192,15 @@ def sample(t: np.ndarray, n_stick: np.ndarray, grid: np.ndarray) -> np.ndarray:
     return np.asarray(n_stick)[index]
 
 
-def falls(path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First and last index of each maximal fall that has a rise or a plateau on both sides.
+def falls(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First step of each maximal fall that has a rise or a plateau on both sides, and the step after its last.
 
-    Parameters
-    ----------
-    path : ndarray of int, shape (m,)
-
-    Returns
-    -------
-    start, stop : ndarray of int
-        path[start] - path[stop] is the depth of a fall, stop - start its number of steps.
+    On the path before and after each step, they are the first and the last place of a fall.
     """
-    falling = np.diff(path) < 0
-    turns = np.diff(falling.astype(np.int8))
-    start = np.flatnonzero(turns == 1) + 1
-    stop = np.flatnonzero(turns == -1) + 1
-    if falling.size and falling[0]:  # cut by the start of the window
-        stop = stop[1:]
-    if falling.size and falling[-1]:  # cut by its end
-        start = start[:-1]
-    return start, stop
+    falling = steps < 0
+    turns = np.flatnonzero(falling[1:] != falling[:-1]) + 1
+    turns = turns[int(falling[:1].any()) :]  # a fall may be cut by the start of the window, and one by its end
+    return turns[: len(turns) // 2 * 2 : 2], turns[1::2]
 
 
 def sizes(win: Window, law: Law) -> np.ndarray:
@@ -234,7 +222,7 @@ def sizes(win: Window, law: Law) -> np.ndarray:
         path = path[win.grid_index(law.dt)]
     if law.definition in ("descent", "decreases"):
         path = path[np.concatenate(([True], np.diff(path) != 0))]
-    start, stop = falls(path)
+    start, stop = falls(np.diff(path))
     return stop - start if law.definition in ("length", "decreases") else path[start] - path[stop]
 
 
@@ -250,7 +238,7 @@ class Spans:
 def spans(win: Window) -> Spans:
     """Sizes, beginnings and ends of the complete cascades by `events`."""
     path = win.path()
-    start, stop = falls(path)
+    start, stop = falls(win.step)
     return Spans(path[start] - path[stop], win.t[start], win.t[stop - 1])
 
 
@@ -279,6 +267,6 @@ def sums(steps: np.ndarray, dt: float | None = None) -> dict[Law, np.ndarray]:
 
 def _falls(steps: np.ndarray) -> np.ndarray:
     """Total depth, total number of steps and number of the complete falls in a series of steps, shape (3,)."""
-    path = np.append(0, np.cumsum(steps))
-    start, stop = falls(path)
-    return np.array([(path[start] - path[stop]).sum(), (stop - start).sum(), len(start)], dtype=np.float64)
+    start, stop = falls(steps)
+    depths = np.maximum(-steps[start[0] : stop[-1]], 0) if len(start) else np.zeros(0)
+    return np.array([depths.sum(), np.count_nonzero(depths), len(start)], dtype=np.float64)

@@ -126,19 +126,19 @@ def block_steps(
     """
     if not len(t) == len(block) == len(mode):
         raise ValueError(f"t, block, mode: expected one length, got {len(t)}, {len(block)} and {len(mode)}")
-    if (np.diff(t) < 0).any():
+    if (t[1:] < t[:-1]).any():
         raise ValueError("t: expected times that do not decrease; sort the events by time")
     by_block = in_order(block)
-    sticks = (np.asarray(mode) == 0).astype(np.int64)
+    sticks = np.asarray(mode) == 0
     stuck = np.empty_like(sticks)
     stuck[by_block[1:]] = sticks[by_block[:-1]]
     is_first = np.concatenate(([True], np.diff(block[by_block]) != 0))[: len(t)]
     firsts = by_block[is_first]
     stuck[firsts] = np.asarray(initial_mode)[block[firsts]] == 0
-    step = sticks - stuck
     t_start, n_periods = whole_periods(t_start, t_stop, period)
-    is_inside = (step != 0) & (t > t_start) & (t <= t_stop)
-    return BlockSteps(float(t_start), float(t_stop), t[is_inside], block[is_inside], step[is_inside], n_periods)
+    is_inside = (sticks != stuck) & (t > t_start) & (t <= t_stop)
+    step = 2 * sticks[is_inside] - 1
+    return BlockSteps(float(t_start), float(t_stop), t[is_inside], block[is_inside], step, n_periods)
 
 
 def in_order(block: np.ndarray) -> np.ndarray:

@@ -286,12 +286,11 @@ def windows(series: Stack, t_start: float, t_stop: ArrayLike) -> Windows:
         k = int(np.argmin(t_start < ends))
         raise NoSeries(k, f"t_start: expected t_start < t_stop, got {t_start!r} and {float(ends[k])!r}")
     firsts, t, level = series.first, series.t, series.n_stick.astype(np.int64, copy=False)
-    run = np.repeat(np.arange(len(series)), np.diff(firsts))
     is_wrong = np.append(False, t[1:] < t[:-1])
     is_wrong[firsts[:-1]] = False
     is_wrong |= ~np.isfinite(t)
     if is_wrong.any():
-        k = int(run[np.argmax(is_wrong)])
+        k = int(np.searchsorted(firsts, np.argmax(is_wrong), side="right")) - 1
         raise NoSeries(k, "t: expected finite times that do not decrease; sort the change points by time")
     late = t[firsts[:-1]] > t_start
     if late.any():
@@ -299,19 +298,12 @@ def windows(series: Stack, t_start: float, t_stop: ArrayLike) -> Windows:
         raise NoSeries(
             k, f"t: expected a change point at or before t_start = {t_start!r}, first is {float(t[firsts[k]])!r}"
         )
-    n_before, n_until = (
-        np.add.reduceat(is_done, firsts[:-1], dtype=np.int64) for is_done in (t <= t_start, t <= ends[run])
-    )
-    begins, places = ranges(
-        firsts[:-1] + n_before - 1, n_until - n_before + 1
-    )  # from the level that holds at t_start
-    t, level = t[places], level[places]
+    is_before = t <= t_start
+    is_kept = np.append(True, level[1:] != level[:-1]) & ~is_before & (t <= np.repeat(ends, np.diff(firsts)))
+    is_kept[firsts[:-1] + np.add.reduceat(is_before, firsts[:-1], dtype=np.int64) - 1] = True  # holds at t_start
+    begins = np.concatenate(([0], np.cumsum(np.add.reduceat(is_kept, firsts[:-1], dtype=np.int64))))
+    t, level = t[is_kept], level[is_kept]
     t[begins[:-1]] = t_start
-    is_change = np.append(True, level[1:] != level[:-1])
-    is_change[begins[:-1]] = True
-    if not is_change.all():
-        begins = np.concatenate(([0], np.cumsum(np.add.reduceat(is_change, begins[:-1], dtype=np.int64))))
-        t, level = t[is_change], level[is_change]
     return Windows(t_start, ends, begins, t, level)
 
 

@@ -300,5 +300,5 @@ def _offsets(array: pa.Array) -> np.ndarray:
 
 def joined(column: pa.ChunkedArray) -> pa.Array:
     """A column as one array, in which rows are found at once; ArrowInvalid if an array cannot hold so much."""
-    array = column.combine_chunks()
+    array = column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()  # which copies
     return array if isinstance(array, pa.Array) else pa.concat_arrays(array.chunks)
