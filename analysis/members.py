@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -61,6 +61,8 @@ _WEAKENING = tuple(term.name for term in TERMS if term.table == "weakening")
 _SPEED_DEPENDENT = (*WIDTHS, *_WEAKENING)
 #: What members of a setting share, and what tells copies and systems of different seeds apart.
 SHARED = (*SYSTEM_KEYS, *ENGINE_KEYS, "twin_size", "perturbation_reading", "seed")
+#: What members of a setting share, by name.
+Shared: TypeAlias = Mapping[str, Any]
 #: Nullable types of pandas, by those of Python.
 _TYPES: dict[type, Any] = {int: "Int64", float: "Float64", bool: "boolean", str: "string"}
 #: Where a setting stands in the design.
@@ -156,7 +158,7 @@ class Members:
         return np.arange(len(self)) if is_copy.all() else np.flatnonzero(~is_copy)
 
 
-def frequencies(setting: Mapping[str, Any]) -> list[Any]:
+def frequencies(setting: Shared) -> list[Any]:
     """Those of the harmonic forces of a setting: numbers, or what they are drawn from."""
     values = dict(setting["values"])
     several = values.get("forces")
@@ -166,7 +168,7 @@ def frequencies(setting: Mapping[str, Any]) -> list[Any]:
     return [] if frequency is None else [frequency]
 
 
-def force_period(setting: Mapping[str, Any]) -> float:
+def force_period(setting: Shared) -> float:
     """The period of the harmonic forces of a setting; NaN where there is none, or one is drawn.
 
     Of several the one that they share or, where that is not a few periods of the slowest, that of the slowest.
@@ -175,7 +177,7 @@ def force_period(setting: Mapping[str, Any]) -> float:
     return slowest * max(n_shared, 1)
 
 
-def shift_unit(setting: Mapping[str, Any]) -> float:
+def shift_unit(setting: Shared) -> float:
     """By whole multiples of what blocks may be shifted in time, each by itself: 0 where nothing changes in time.
 
     It is the period that all forces share, which so keep their phases; NaN where there is none, or something else
@@ -187,14 +189,14 @@ def shift_unit(setting: Mapping[str, Any]) -> float:
     return (slowest * n_shared if n_shared else np.nan) if any(frequencies(setting)) else 0.0
 
 
-def has_course(setting: Mapping[str, Any]) -> bool:
+def has_course(setting: Shared) -> bool:
     """Whether a belt, a force or any other number changes in time otherwise than harmonically."""
     values = dict(setting["values"])
     pushes = values["forces"].parts if isinstance(values.get("forces"), Pushes) else ()
     return any(isinstance(course, InTime) for course in (*values.values(), *(push.course for push in pushes)))
 
 
-def _periods(setting: Mapping[str, Any]) -> tuple[float, int]:
+def _periods(setting: Shared) -> tuple[float, int]:
     """The period of the slowest force, NaN where none is known, and how many of these all forces share, 0 if none."""
     of_forces = [frequency for frequency in frequencies(setting) if frequency != 0.0]
     if not of_forces or not all(isinstance(frequency, float) for frequency in of_forces):
@@ -206,7 +208,7 @@ def _periods(setting: Mapping[str, Any]) -> tuple[float, int]:
     return float(2.0 * np.pi / turning.min()), n_shared
 
 
-def may_be_proved(setting: Mapping[str, Any]) -> bool:
+def may_be_proved(setting: Shared) -> bool:
     """Whether it may be proved that no block sticks again.
 
     There are proofs on one belt of constant speed under constant forces, where friction does not weaken with speed.

@@ -32,7 +32,7 @@ from typing import Any, TypeVar
 import numba
 import numpy as np
 from numba import types
-from numba.core.codegen import JITCodeLibrary
+from numba.core.codegen import JITCodeLibrary, get_host_cpu_features
 from numba.core.compiler import Compiler, CompileResult
 from numba.core.runtime import rtsys
 
@@ -40,6 +40,8 @@ from stickslip.sim.kernels.cache import CacheFiles, cache_directory
 from stickslip.sim.kernels.emit import IS_COMPILED, is_reference
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+#: Whether a register holds eight float64, by the features that numba compiles for.
+HAS_WIDE_REGISTERS = "+avx512f" in (numba.config.CPU_FEATURES or get_host_cpu_features())  # type: ignore[attr-defined]
 
 
 def _jit(function: Callable[..., Any], **options: Any) -> Any:

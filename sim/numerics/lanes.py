@@ -13,18 +13,17 @@ from collections.abc import Callable
 from typing import Any
 
 from numba import types
-from numba.core import codegen, config
 
+from stickslip.sim.kernels.compile import HAS_WIDE_REGISTERS
 from stickslip.sim.kernels.emit import Code, Index, View, emitted, times_power_of_two
 from stickslip.sim.kernels.emit import Lane as Lane
 from stickslip.sim.kernels.emit import absolute as absolute
 from stickslip.sim.kernels.emit import copysign as copysign
 from stickslip.sim.kernels.emit import where as where
 
-_FEATURES: str = config.CPU_FEATURES or codegen.get_host_cpu_features()  # type: ignore[attr-defined]
 #: Numbers side by side: four float64 fill a register of AVX2, eight one of AVX-512.
 NARROW = 4
-WIDTH = 8 if "+avx512f" in _FEATURES else NARROW
+WIDTH = 8 if HAS_WIDE_REGISTERS else NARROW
 
 
 def greater(x: Lane, y: Lane | float) -> Lane:

@@ -122,7 +122,7 @@ def test_init_writes_a_scene_that_runs_and_refuses_to_write_over_it(name, tmp_pa
         (["init", "none/mine.toml"], 1, "none'; the folder does not exist: create it or choose another"),
         (["init", f"{'x' * 300}.toml"], 1, "; its name or path is too long: shorten it, then rerun the command"),
         (["init", "/proc/self/stat/mine.toml"], 1, "; what it has for a folder is none: correct the path"),
-        (["schema", "stabilty"], 2, "expected one of one_block, paper, "),
+        (["schema", "stabilty"], 2, "expected one of limit, one_block, paper, "),
     ],
 )
 def test_what_cannot_be_written(argv, code, words, tmp_path, monkeypatch, capsys):
