@@ -67,6 +67,8 @@ def bare(value: float, form: Form = Form.NUMBER, digits: int | None = None, sign
     places = decimals(Estimate(value), form) if digits is None else digits
     while form is Form.SHARE and value < 1.0 and round(scaled, places) == 100.0 and places < MOST_DIGITS:
         places += 1  # what is not all is not said to be
+    while form is Form.SHARE and value > 0.0 and round(scaled, places) == 0.0 and places < MOST_DIGITS:
+        places += 1  # nor what is not none
     power = _exponent(abs(scaled)) if scaled else 0
     if (places > MOST_DECIMALS and scaled) or power >= MOST_PLACES:
         shown = max(1, places + power) if power < MOST_PLACES else DIGITS - 1

@@ -553,7 +553,7 @@ def _outcomes(outcomes: Outcomes, is_brief: bool = False) -> Clauses:
     if outcomes.different and distance and largest is not None:
         words.append(f"{outcomes.at_largest} gives {distance}")
         if outcomes.others:
-            by = "" if outcomes.second is None else f", by {size(outcomes.second, largest.quantity.form)}"
+            by = "" if outcomes.second is None else f", by {_signed(outcomes.second, largest.quantity.form)}"
             words.append(f"{listed(outcomes.others)} also differ{_s(outcomes.others)}{by}")
     elif outcomes.different:
         words.append(f"{listed(outcomes.different)} differ{_s(outcomes.different)} from {reference}")

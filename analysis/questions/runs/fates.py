@@ -355,7 +355,7 @@ def _alerts(study: Study, grid: Grid, ends: Sequence[Ends], short: Sequence[Grou
     n_open, n_recorded = sum(runs.n_of(UNDECIDED) for runs in recorded), sum(len(runs.rows) for runs in recorded)
     level = study.settings.confidence
     n_units = [
-        group.column("unit").nunique()
+        group.moving["unit"].nunique()
         for group in groups
         if group.basis(level).code == enough.FEW_MATRICES and group.n_moving > 1
     ]

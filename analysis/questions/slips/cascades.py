@@ -47,7 +47,7 @@ from stickslip.analysis.stats import enough, estimates, student
 from stickslip.analysis.stats.compare import Compared, against
 from stickslip.analysis.stats.components import between
 from stickslip.analysis.stats.dispersion import excess, moments
-from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, over_matrices, ratio
+from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, over_matrices, ratio, within
 from stickslip.analysis.stats.families import EXPONENTIAL, POWER_LAW, log_shares, maximise
 from stickslip.analysis.stats.multiplicity import together
 from stickslip.analysis.stats.shares import mean_within
@@ -331,9 +331,9 @@ def _findings(study: Study, sums: Sums, where: Place, rates: Sequence[Level]) ->
     """The law of a group, its decay rate beside other blocks', and how far it is from geometric."""
     level = study.settings.confidence
     rate, *further = rates
-    beside_geometric = sums.estimate(over_geometric, level)
+    beside_geometric = within(sums.estimate(over_geometric, level), -1.0)
     geometric = Comparison(GEOMETRIC, Difference(beside_geometric))
-    departure = Level(VARIANCE, sums.estimate(variance, level), where, geometric, rate.basis)
+    departure = Level(VARIANCE, within(sums.estimate(variance, level), 0.0), where, geometric, rate.basis)
     fit = fit_of(gain(sums, level), beside_geometric)
     law = Law("cascade sizes", "fall off geometrically", rate, fit, departure, "fall off nearly geometrically",
               called="decay rate")  # fmt: skip
