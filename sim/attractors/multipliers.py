@@ -19,12 +19,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.arguments import Floats, Ints
 from stickslip.sim.numerics.variations import Course, carried
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.runs.series import EventSeries
@@ -38,28 +38,24 @@ _REACH = [(1e-16 * math.factorial(order)) ** (1.0 / order) for order in range(2,
 #: Nodes of a step, of Gauss; from values there to the coefficients of the polynomial through them.
 _NODES = 0.5 + 0.5 * np.polynomial.legendre.leggauss(5)[0]
 _THROUGH = np.linalg.inv(np.vander(_NODES, increasing=True))
-#: Of more equal steps that of one is squared.
+#: Of more equal steps one is taken, to their power.
 _MOST = 16
 #: How large a motion is at least, for ratios of what it consists of to have all their digits.
 LOST = float(np.finfo(np.float64).tiny / np.finfo(np.float64).eps)
 
 
-class Follow(Protocol):
-    """Runs a system from z, w and modes, if they are known, from one time to another, with samples at some times."""
-
-    def __call__(
-        self, z: Floats, w: Floats, modes: NDArray[np.int8] | None, span: tuple[float, float], times: Floats
-    ) -> Run: ...
+#: Runs a system from z, w and modes, if they are known, from one time to another, with samples at some times.
+Follow: TypeAlias = Callable[[Floats, Floats, NDArray[np.int8] | None, tuple[float, float], Floats], Run]
 
 
 @dataclass(frozen=True, eq=False)
 class Spans:
     """Steps from edge to edge, of blocks that slip: over them motion, and friction, are resolved."""
 
-    counts: NDArray[np.intp]  #: between edges, shape (m,)
-    squarings: NDArray[np.intp]  #: of what the one step between edges multiplies deviations by, shape (m,)
+    counts: Ints  #: of those listed between edges, shape (m,)
+    repeats: Ints  #: how often each of these is taken: where there would be many, once listed; shape (m,)
     length: Floats  #: shape (q,)
-    order: NDArray[np.intp]  #: of their series, shape (q,)
+    order: Ints  #: of their series, shape (q,)
     t: Floats  #: their nodes, shape (q, 5)
 
     @classmethod
@@ -71,14 +67,14 @@ class Spans:
             rate, longest = rate + system.weakening.steepest * (near - far).max(), _STEP
         lengths = np.diff(edges)
         counts = (np.maximum(np.ceil(lengths * (rate / longest)), 1.0) * modes.any(axis=1)).astype(np.intp)
-        squarings = np.zeros(len(counts), dtype=np.intp)
-        if system.weakening is None and (is_long := counts > _MOST).any():
-            squarings[is_long], counts[is_long] = np.ceil(np.log2(counts[is_long])), 1
-        length = np.ldexp(lengths / np.maximum(counts, 1), -squarings).repeat(counts)
+        length = lengths / np.maximum(counts, 1)
+        repeats = np.where((counts > _MOST) & (system.weakening is None), counts, 1)
+        counts //= repeats
+        length = length.repeat(counts)
         number = np.arange(len(length)) - (np.cumsum(counts) - counts).repeat(counts)
         since = edges[:-1].repeat(counts) + number * length
         order = np.searchsorted(_REACH, rate * length) + 1
-        return cls(counts, squarings, length, order, since[:, None] + length[:, None] * _NODES)
+        return cls(counts, repeats, length, order, since[:, None] + length[:, None] * _NODES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +149,7 @@ class Path:
 
         Shape (2n, 2n). Where no force depends on time, they are taken there when the first event comes back.
         """
-        n, spans, slips, is_long = self.system.n, self.spans, self.modes[1:] != 0, self.spans.squarings > 0
+        n, spans, slips, is_long = self.system.n, self.spans, self.modes[1:] != 0, self.spans.repeats > 1
         pull, drags = self.system.slip_matrix()[n:], np.zeros((len(spans.t), len(_NODES) if len(self.slip) else 1, n))
         np.fill_diagonal(pull[:, n:], 0.0)
         drags[:, 0] = self.system.damping
@@ -168,15 +164,13 @@ class Path:
         for k in np.flatnonzero(is_long).tolist():
             moved, start = carried(moved, pull, course, start, k + 1), k + 1
             flow = carried(np.identity(2 * n), pull, one_step, k, k + 1)
-            moved = np.linalg.matrix_power(flow, 2 ** int(spans.squarings[k])) @ moved
+            moved = np.linalg.matrix_power(flow, int(spans.repeats[k])) @ moved
         moved = carried(moved, pull, course, start, len(slips))
         if not is_forced:  # shift each in time until the first event is when it was
             block = int(self.block[0])
-            if self.modes[0, block] == 0:
-                late = pull[block] @ moved / -self._loads[0, block]
-            else:
-                late = moved[n + block] / self._slip_rates[0, block]
-            moved -= np.append(self.states.w[0], self._slip_rates[0])[:, np.newaxis] * late
+            off, rates = moved[n + block], self._slip_rates[0]
+            late = -pull[block] @ moved / self._loads[0, block] if self.modes[0, block] == 0 else off / rates[block]
+            moved -= np.append(self.states.w[0], rates)[:, np.newaxis] * late
         whole = np.zeros((2 * n, 2 * n))
         whole[np.ix_(is_free, is_free)] = moved[is_free]
         return whole
