@@ -291,14 +291,14 @@ def test_a_sparse_array_of_many_entries_a_row_is_run_as_the_dense_one(rng):
 
 
 def test_tighter_tolerances_take_more_blocks():
-    for n, least in ((64, 2e-6), (131, 1e-7), (392, 1e-9), (678, 1e-10), (2000, 1e-10)):
+    for n, least in ((64, 6e-7), (95, 1e-7), (258, 1e-9), (425, 1e-10), (2000, 1e-10)):
         system = System(np.eye(n) + 0.01, 1.0, 1.0, -0.2)
         assert settings.Coulomb(tol=least).is_by_waves(system)
         assert not settings.Coulomb(tol=0.9 * least).is_by_waves(system)
 
 
 def test_jumps_of_friction_are_left_to_series_but_at_loose_tolerances():
-    for n, tol, by_waves in ((64, 1.2e-5, True), (64, 1e-5, False), (404, 1e-7, True), (404, 0.9e-7, False)):
+    for n, tol, by_waves in ((64, 3.6e-6, True), (64, 3.5e-6, False), (212, 1e-7, True), (212, 0.9e-7, False)):
         system = System(np.eye(n) + 0.01, 1.0, 1.0, -0.2, static=1.3)
         assert settings.Coulomb(tol=tol).is_by_waves(system) == by_waves
 
@@ -344,7 +344,7 @@ def test_storage_of_k_decides_nothing(monkeypatch, rng):
     for n, method, stiffness in (
         (120, SERIES, 2.0 * np.eye(120) - np.eye(120, k=1) - np.eye(120, k=-1)),
         (20, SERIES, np.eye(20) + rng.normal(size=(20, 20)) / 20.0),
-        (80, WAVES, np.eye(80) + rng.normal(size=(80, 80)) / 80.0),
+        (100, WAVES, np.eye(100) + rng.normal(size=(100, 100)) / 100.0),
     ):
         system = System(stiffness, 0.3, 1.0, -0.2)
         z, w = rng.uniform(-1.0, 1.0, (2, n))

@@ -19,9 +19,9 @@ from stickslip.sim.systems.system import System
 #: exit is a jump of friction and a kink in the F of others.
 SIZE_OF_WAVES, TOL_OF_WAVES, FALL_OF_WAVES, LEAST_OF_WAVES = 64, 6e-7, 4.6, 1e-10
 TOL_OF_JUMPS, FALL_OF_JUMPS = 3.6e-6, 3.0
-#: The factor of that if the least damping is a smaller share of |eigenvalues|: F then swings, and events become rare,
-#: from which series take long steps.
-LIGHT, TOL_OF_LIGHT = 0.25, 10.0
+#: The factor of that if the least damping is a smaller share of |eigenvalues|, and the least tolerances of either: F
+#: then swings, and events become rare, from which series take long steps.
+LIGHT, TOL_OF_LIGHT, LEAST_OF_LIGHT, LEAST_OF_LIGHT_JUMPS = 0.25, 60.0, 2e-8, 1e-5
 #: With fewer entries a row of K the least tolerance is this, and a lightly damped system is left to series, of which
 #: an event is a local update: of such chains, and pairs of blocks, waves took up to 9 times as long.
 MANY_ENTRIES, TOL_OF_FEW = 6, 1e-6
@@ -119,7 +119,7 @@ class Coulomb(Engine):
         """Whether runs of a system are made by waveform relaxation, as far as they are not started at an event.
 
         If n is at least 64 and `tol` at least 6e-7 (95 blocks: 1e-7, 258: 1e-9, 425: 1e-10), or, where static
-        friction is above the kinetic, 3.6e-6 (99: 1e-6, 212: 1e-7), ten times as much if damping is light; with
+        friction is above the kinetic, 3.6e-6 (99: 1e-6, 212: 1e-7), sixty times as much if damping is light; with
         fewer than six entries a row of K, 1e-6 at least, and no light damping; if the run is not short, the belts
         have constant speeds, one of which is not zero, there are no forces, friction does not depend on the speed of
         slip, which may go to either side, and no block is heavily damped. Damping between blocks gives F a kink at
@@ -131,9 +131,12 @@ class Coulomb(Engine):
         is_short = phases > NO_LENGTH and n**3 * phases < SHORT
         if n < SIZE_OF_WAVES or is_short or self.accumulation(system, length) > MOST_MEMORY:
             return False
-        tol, fall = (TOL_OF_JUMPS, FALL_OF_JUMPS) if system.is_static_above else (TOL_OF_WAVES, FALL_OF_WAVES)
+        jumps = system.is_static_above
+        tol, fall = (TOL_OF_JUMPS, FALL_OF_JUMPS) if jumps else (TOL_OF_WAVES, FALL_OF_WAVES)
         is_light = system.least_damping < LIGHT * system.fastest_rate
-        least = max(tol * (SIZE_OF_WAVES / n) ** fall, LEAST_OF_WAVES) * (TOL_OF_LIGHT if is_light else 1.0)
+        least = max(tol * (SIZE_OF_WAVES / n) ** fall, LEAST_OF_WAVES)
+        if is_light:
+            least = max(TOL_OF_LIGHT * least, LEAST_OF_LIGHT_JUMPS if jumps else LEAST_OF_LIGHT)
         if system.entries_a_row < MANY_ENTRIES:
             if is_light:
                 return False
