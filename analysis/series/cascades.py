@@ -111,23 +111,17 @@ class Window:
 
     def places(self, dt: float) -> np.ndarray:
         """Number of the first sample at or after each change; it may lie beyond the last sample."""
-        if dt not in self._placed:
-            self._placed[dt] = steps_to(self.t, self.t_start, dt).astype(np.int64)
-        return self._placed[dt]
-
-    @cached_property
-    def _placed(self) -> dict[float, np.ndarray]:
-        return {}
+        return steps_to(self.t, self.t_start, dt).astype(np.int64)
 
     def grid_index(self, dt: float) -> np.ndarray:
         """Number of changes up to and at each sample time: an index into `path()`."""
         n_samples = self.n_steps(dt) + 1
         return np.cumsum(np.bincount(self.places(dt), minlength=n_samples)[:n_samples])
 
-    def sampled(self, dt: float, weights: np.ndarray | None = None) -> np.ndarray:
-        """Change of n_stick in each step of dt, or the sum of other weights of the changes in it."""
+    def sampled(self, dt: float) -> np.ndarray:
+        """Change of n_stick in each step of dt."""
         n_samples = self.n_steps(dt) + 1
-        return np.bincount(self.places(dt), self.step if weights is None else weights, n_samples)[1:n_samples]
+        return np.bincount(self.places(dt), self.step, n_samples)[1:n_samples]
 
     def time_mean(self) -> float:
         """Exact time mean of n_stick over the window."""
