@@ -304,7 +304,7 @@ def test_a_run_says_what_it_waits_for_and_asks_a_worker_what_is_to_be_compiled(s
 def test_cold_engines_are_those_whose_kernels_are_missing(finished, tmp_path, monkeypatch):
     assert worker.cold_engines(("coulomb", "sigmoid")) == ()  # those of `finished`
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    assert {*worker.cold_engines(ENGINES)} == {*ENGINES}
+    assert {*worker.cold_engines(ENGINES)} == {name for name, engine in ENGINES.items() if engine.kernels}
     monkeypatch.setattr(ENGINES["coulomb"], "kernels", "")
     assert worker.cold_engines(["coulomb"]) == ()
 
