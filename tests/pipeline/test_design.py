@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 from stickslip.pipeline import expand, load_scene, parse_scene
+from stickslip.pipeline.ensemble.member import MATRIX, PERTURBATION, RATIO, START_W, START_Z, TWIN
 from stickslip.pipeline.ensemble.pack import Batch, tasks
+from stickslip.sim.systems.terms import TERMS
 from tests.processes import python
 from tests.scenes import COULOMB, ensemble
 
@@ -102,6 +104,12 @@ def test_no_two_draws_share_their_numbers(scene):
     ratios = {(m.n, m.source.matrix, m.ratio_draw): m.ratios()[0] for m in expand(scene) if m.ratio_draw is not None}
     shares = [value / 3.5 - 1 for value in systems.values()] + [1 - value for value in ratios.values()]
     assert len(np.unique(np.round(shares, 12))) == len(shares) == 18
+
+
+def test_no_two_quantities_share_their_draws():
+    fixed = (MATRIX, PERTURBATION, RATIO, TWIN, START_Z, START_W)
+    purposes = [*fixed, *(term.purpose for term in TERMS if term.purpose is not None)]
+    assert len({*purposes}) == len(purposes)
 
 
 def drawn(purpose, seed, *key):
