@@ -358,13 +358,12 @@ class Law:
 class Parts:
     """A value as the sum of its parts, the last of which is the one that is asked about.
 
-    `rest` is the sum of the other parts. `subject` is what the parts raise or lower, where the whole is an excess of
+    `subject` is what the parts raise or lower, where the whole is an excess of
     it; by default the whole.
     """
 
     whole: Level
     parts: tuple[Level, ...]
-    rest: Estimate
     subject: str = ""
 
 

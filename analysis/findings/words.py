@@ -528,7 +528,7 @@ def _rounded(share: float) -> str:
 
 
 def _parts(sum_of: Parts) -> Clauses:
-    """What the last part does, and the others together."""
+    """What the last part does, and what the others add."""
     total, *smaller, largest = sum_of.whole, *sum_of.parts
     form = total.quantity.form
     head, name, subject = total.where.head, largest.quantity.name, sum_of.subject or total.quantity.name
@@ -539,9 +539,8 @@ def _parts(sum_of: Parts) -> Clauses:
     else:
         amount = with_interval(_without_sign(largest.estimate), form)
         words = f"{head}{name} {'raises' if value > 0.0 else 'lowers'} the {subject} by {amount}"
-    others = [level.quantity.name for level in smaller]
-    verb = f"{'together' * (len(others) > 1)} contribute{'s' * (len(others) == 1)}".strip()
-    return words, f"{listed(others)} {verb} {with_interval(sum_of.rest, form, sign=True)}"
+    adds = [f"{level.quantity.name} adds {with_interval(level.estimate, form, sign=True)}" for level in smaller]
+    return words, ", ".join(adds)
 
 
 def _outcomes(outcomes: Outcomes, is_brief: bool = False) -> Clauses:
@@ -554,7 +553,7 @@ def _outcomes(outcomes: Outcomes, is_brief: bool = False) -> Clauses:
         words.append(f"{outcomes.at_largest} gives {distance}")
         if outcomes.others:
             by = "" if outcomes.second is None else f", by {_signed(outcomes.second, largest.quantity.form)}"
-            words.append(f"{listed(outcomes.others)} also differ{_s(outcomes.others)}{by}")
+            words.append(f"{listed(outcomes.others)} also differ{_s(outcomes.others)}{scope}{by}")
     elif outcomes.different:
         words.append(f"{listed(outcomes.different)} differ{_s(outcomes.different)} from {reference}")
     if outcomes.equal:

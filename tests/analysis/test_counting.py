@@ -123,11 +123,10 @@ def test_coupling_is_told_by_the_number_of_blocks(planted, rng):
             sum(each[name].value for name in ("finite_size", "own_dynamics", "coupling"))
         )
     assert re.fullmatch(
-        r"At n = 40, coupling raises the decay rate by [0-9.]+% \([0-9.]+ to [0-9.]+%\)\. Finite size and each "
-        r"block's own dynamics together contribute [+\u2212][0-9.]+% \([+\u2212][0-9.]+ to [+\u2212][0-9.]+%\)\.",
+        r"At n = 40, coupling raises the decay rate by [0-9.]+% \([0-9.]+ to [0-9.]+%\)\. Finite size adds"
+        r" \+[0-9.]+% \(.*%\), each block's own dynamics adds .*%\)\.",
         sentence(sums[0]),
     )
-    assert sums[0].rest.value == pytest.approx(sum(part.estimate.value for part in sums[0].parts[:2]))
     figure = answer.figures["counting"].recipe()
     assert [ax.get_ylabel() for ax in figure.axes] == [counting.OVER_COIN, counting.SCALED]
     labels = {text.get_text() for text in figure.legends[0].texts}

@@ -164,18 +164,16 @@ def test_sentences():
     excess = Quantity("excess", "excess", Form.SHARE)
     parts = [
         Level(Quantity(name, name), Estimate(*of))
-        for name, of in (("noise", (-0.012,)), ("pull", (0.021, 0.018, 0.024)))
+        for name, of in (("noise", (-0.012, -0.014, -0.010)), ("pull", (0.021, 0.018, 0.024)))
     ]
-    rest = Estimate(-0.012, -0.014, -0.010)
-    assert sentence(Parts(Level(excess, Estimate(0.009, 0.006, 0.012), Place.key("n", "5")), (*parts,), rest)) == (
-        "At n = 5, pull raises the excess by 2.10% (1.80 to 2.40%); noise contributes"
-        " \u22121.20% (\u22121.40 to \u22121.00%)."
+    assert sentence(Parts(Level(excess, Estimate(0.009, 0.006, 0.012), Place.key("n", "5")), (*parts,))) == (
+        "At n = 5, pull raises the excess by 2.10% (1.80 to 2.40%);"
+        " noise adds \u22121.20% (\u22121.40 to \u22121.00%)."
     )
-    parts[:1] = [Level(Quantity(name, name), Estimate(value)) for name, value in (("noise", -0.012), ("size", 0.013))]
-    rest = Estimate(0.001, -0.001, 0.003)
-    assert sentence(Parts(Level(excess, Estimate(0.022, 0.019, 0.025)), (*parts,), rest, "rate")) == (
-        "Pull raises the rate by 2.10% (1.80 to 2.40%); noise and size together contribute"
-        " +0.10% (\u22120.10 to +0.30%)."
+    parts.insert(1, Level(Quantity("size", "size"), Estimate(0.013, 0.011, 0.015)))
+    assert sentence(Parts(Level(excess, Estimate(0.022, 0.019, 0.025)), (*parts,), "rate")) == (
+        "Pull raises the rate by 2.10% (1.80 to 2.40%); noise adds \u22121.20% (\u22121.40 to \u22121.00%), size adds"
+        " +1.30% (+1.10 to +1.50%)."
     )
     within = Comparison("the exact engine", Difference(Estimate(0.006, 0.004, 0.008), margin=0.01))
     assert sentence(Level(GAMMA, Estimate(0.7), comparison=within)) == (
@@ -269,7 +267,7 @@ def _findings(rng):
     yield (share := Share("sliding", "starts", "end in steady sliding", estimate, where, comparison, basis))
     yield Lifetime(LATE, estimate, where, comparison, basis)
     yield Law("sizes", "fall off exponentially", level, _pick(rng, Fit), level, scope=level, things="episodes")
-    yield Parts(level, (level, level), estimate)
+    yield Parts(level, (level, level))
     yield Share("pairs", "exits", "trigger another", Estimate(high=value), where, basis=basis)
     yield Alike(quantity, value, "from all starts", where, basis)
     yield Outcomes("exact", ("h = 0.1",), ("h = 0.2", "h = 0.4"), (), level)
@@ -345,7 +343,7 @@ def _of_the_package(rng):
     parts = tuple(
         Level(Quantity(name, name), estimate) for name in ("finite size", "each block's own dynamics", "pull")
     )
-    yield Parts(replace(level, comparison=None), parts, estimate, "decay rate")
+    yield Parts(replace(level, comparison=None), parts, "decay rate")
     yield Outcomes(other, settings, (), settings, level, scope="the rate and magnitudes of episodes")
     yield Outcomes(other, (), settings, (), level, "exact with tol = 0.001", settings[1:])
     nouns = ("steady sliding", "stick-slip", "rest")[: rng.integers(1, 4)]

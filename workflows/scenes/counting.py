@@ -165,7 +165,7 @@ def _parts(counts: Counted, is_swept: bool, unit: str) -> Parts:
     total, *levels = (
         Level(quantity, counts.estimates[quantity.key], where, basis=basis) for quantity in (EXCESS, *EFFECTS)
     )
-    return Parts(total, tuple(levels), counts.estimates["time_shifted"], "decay rate")
+    return Parts(total, tuple(levels), "decay rate")
 
 
 def counted(study: Study, group: Group) -> Counted | None:

@@ -362,7 +362,7 @@ def _effects(study: Study, sums: Sums, where: Place) -> Parts:
         Level(quantity, sums.estimate(statistic, level), where, basis=basis)
         for quantity, statistic in zip((EXCESS, *EFFECTS), statistics, strict=True)
     )
-    return Parts(excess, tuple(effects), sums.estimate(independent, level), "decay rate")
+    return Parts(excess, tuple(effects), "decay rate")
 
 
 def _beside_others(study: Study, sums: Sums) -> list[Level]:
