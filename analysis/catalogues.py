@@ -28,7 +28,7 @@ from stickslip.analysis.models.magnitudes import (
 from stickslip.analysis.models.recurrence import Recurrence, recurrence
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio, within
-from stickslip.pipeline.design.labels import Label, engine_name, engine_noun
+from stickslip.pipeline.design.labels import Label, engine_noun
 from stickslip.sim.engines import place
 
 LARGE = 0.1  # share of episodes that count as large where there is no peak
@@ -68,8 +68,7 @@ class Catalogues:
     @property
     def noun(self) -> str:
         """Its method as what others are compared with."""
-        engine = self.group.key["engine"]
-        return engine_noun(engine) if self.method == engine_name(engine) else self.method
+        return engine_noun(self.group.key["engine"], self.method)
 
     @property
     def is_judged(self) -> bool:

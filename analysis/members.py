@@ -61,7 +61,7 @@ _WEAKENING = tuple(term.name for term in TERMS if term.table == "weakening")
 _SPEED_DEPENDENT = (*WIDTHS, *_WEAKENING)
 #: What members of a setting share, and what tells copies and systems of different seeds apart.
 SHARED = (*SYSTEM_KEYS, *ENGINE_KEYS, "twin_size", "perturbation_reading", "seed")
-#: What members of a setting share, by name.
+#: The values of these, by name.
 Shared: TypeAlias = Mapping[str, Any]
 #: Nullable types of pandas, by those of Python.
 _TYPES: dict[type, Any] = {int: "Int64", float: "Float64", bool: "boolean", str: "string"}

@@ -195,8 +195,6 @@ class Level:
     ----------
     where : Place
         What tells the setting from the others.
-    also : tuple of Comparison
-        What else it is compared with, in the same sentence.
     """
 
     quantity: Quantity
@@ -204,7 +202,6 @@ class Level:
     where: Place = EVERYWHERE
     comparison: Comparison | None = None
     basis: Basis | None = None
-    also: tuple[Comparison, ...] = ()
 
     @property
     def difference(self) -> Difference | None:
@@ -358,8 +355,7 @@ class Law:
 class Parts:
     """A value as the sum of its parts, the last of which is the one that is asked about.
 
-    `subject` is what the parts raise or lower, where the whole is an excess of
-    it; by default the whole.
+    `subject` is what the parts raise or lower, where the whole is an excess of it; by default the whole.
     """
 
     whole: Level
@@ -583,9 +579,7 @@ def levels(finding: Finding) -> list[Level]:
     """A finding as rows of a table: the values that it states; none of a lack."""
     match finding:
         case Level():
-            return [
-                replace(finding, comparison=comparison, also=()) for comparison in (finding.comparison, *finding.also)
-            ]
+            return [finding]
         case Lifetime(quantity, estimate, where, comparison, basis):
             return [Level(quantity, estimate, where, comparison, basis)]
         case Share(key, things, predicate, estimate, where, comparison, basis):

@@ -128,9 +128,7 @@ def _clauses(finding: Statement, is_brief: bool = False) -> Clauses:
     """A finding without capitals and full stops; in brief, the first clause is as short as can be."""
     match finding:
         case Level():
-            return *_level(finding, is_brief), *(
-                _also(replace(finding, comparison=comparison)) for comparison in finding.also
-            )
+            return _level(finding, is_brief)
         case Change():
             return _change(finding, is_brief)
         case Share():
@@ -249,13 +247,6 @@ def _in_clause(level: Level) -> str:
         return f"{times} times as much as for {reference}"
     side = "more" if difference.side is Verdict.MORE else "less"
     return f"{size(difference, form)} {side} than for {reference}{_in_margin(difference, form)}"
-
-
-def _also(level: Level) -> str:
-    """A clause about another comparison of an estimate."""
-    assert level.comparison is not None
-    addition = _compared(level.comparison, level.quantity)
-    return addition.clause or f"it is {_in_clause(level) or addition.phrase}"
 
 
 def _beside(text: str, comparison: Comparison | None, quantity: Quantity | None, is_brief: bool) -> Clauses:
@@ -416,14 +407,14 @@ MOST_TURNS = 2  # whose places a sentence says
 
 def _turning(change: Change, along: str) -> Clauses:
     """A change that is not one way all along."""
-    name, quantity, turns = change.quantity.name, change.quantity, change.turns
+    quantity, name, turns = change.quantity, change.quantity.name, change.turns
     start, end = _alone(quantity, change.before), in_unit(_alone(quantity, change.after), quantity.unit)
     if len(turns) > MOST_TURNS:
         return f"{name} turns {len(turns)} times {along}", f"it goes {_from_to(change)}"
     if len(turns) > 1:
-        through = listed([_value(change.quantity, turn.estimate) for turn in turns])
+        through = listed([_value(quantity, turn.estimate) for turn in turns])
         return f"{name} has {extrema(turns)}", f"it goes from {start} through {through} to {end} {along}"
-    there = f"{_value(change.quantity, turns[0].estimate)} near {turns[0].near}"
+    there = f"{_value(quantity, turns[0].estimate)} near {turns[0].near}"
     match turns[0].course:
         case Course.MINIMUM:
             return f"{name} has a minimum of {there}", f"it falls from {start} and rises to {end} {along}"

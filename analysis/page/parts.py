@@ -209,13 +209,13 @@ def _ends(estimate: Estimate | None) -> tuple[float | None, float | None, float 
     return (None, None, None) if estimate is None else (estimate.value, estimate.low, estimate.high)
 
 
+_IF_KNOWN = ("compared_value", "compared_low", "compared_high", "measured_in")
+
+
 def _row(level: Level) -> dict[str, object]:
     """A row as JSON has it; its unit, and the value of what it is compared with, only if it has one."""
     values = row(level)._asdict()
     return {name: value for name, value in values.items() if name not in _IF_KNOWN or value not in (None, "")}
-
-
-_IF_KNOWN = ("compared_value", "compared_low", "compared_high", "measured_in")
 
 
 def findings_json(title: str, lead: Sequence[str], parts: Sequence[Part]) -> dict[str, object]:

@@ -30,9 +30,9 @@ def engine_name(engine: str) -> str:
     return ENGINES[engine].title
 
 
-def engine_noun(engine: str) -> str:
-    """An engine as a noun: "the exact law"."""
-    return ENGINES[engine].noun or ENGINES[engine].title
+def engine_noun(engine: str, words: str = "") -> str:
+    """An engine as a noun, "the exact law"; or the words that call it, if they are more than its name."""
+    return words if words not in ("", engine_name(engine)) else ENGINES[engine].noun or ENGINES[engine].title
 
 
 def engines_in_words(engines: Collection[str]) -> str:

@@ -43,7 +43,7 @@ from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, noun
 from stickslip.analysis.models import pool
 from stickslip.analysis.models.motion import lulls
-from stickslip.analysis.questions.slips.cascades import EFFECTS, EXCESS
+from stickslip.analysis.questions.slips.cascades import effects, sum_of
 from stickslip.analysis.series import nulls
 from stickslip.analysis.series.cascades import EVENTS, Window, sums
 from stickslip.analysis.series.nulls import BlockSteps
@@ -161,11 +161,7 @@ def _where(counts: Counted, is_swept: bool) -> Place:
 
 
 def _parts(counts: Counted, is_swept: bool, unit: str) -> Parts:
-    where, basis = _where(counts, is_swept), Basis(len(counts.rows), unit)
-    total, *levels = (
-        Level(quantity, counts.estimates[quantity.key], where, basis=basis) for quantity in (EXCESS, *EFFECTS)
-    )
-    return Parts(total, tuple(levels), "decay rate")
+    return sum_of(counts.estimates, _where(counts, is_swept), Basis(len(counts.rows), unit))
 
 
 def counted(study: Study, group: Group) -> Counted | None:
@@ -256,21 +252,13 @@ def of_pool(n: int, function: Callable[[int, float], float], rows: np.ndarray) -
 def parts(n: int) -> dict[str, Statistic]:
     """The excess of gamma over ln 2 and its parts by name, as statistics of rows of `run_sums`."""
 
-    def runs(rows: np.ndarray) -> np.ndarray:
-        return gamma(rows[:, OBSERVED]) / LN2 - 1
-
     def independent(rows: np.ndarray) -> np.ndarray:
-        return gamma(rows[:, ROTATED]) / LN2 - 1
+        return gamma(rows[:, ROTATED])
 
-    def finite_size(rows: np.ndarray) -> np.ndarray:
-        return of_pool(n, pool.gamma, rows) / LN2 - 1
-
+    of_runs = effects(lambda rows: gamma(rows[:, OBSERVED]), independent, partial(of_pool, n, pool.gamma))
     return {
-        "excess": runs,
-        "time_shifted": independent,
-        "finite_size": finite_size,
-        "own_dynamics": lambda rows: independent(rows) - finite_size(rows),
-        "coupling": lambda rows: runs(rows) - independent(rows),
+        **of_runs,
+        "time_shifted": lambda rows: independent(rows) / LN2 - 1,
         "rise": lambda rows: ratio(rows[:, SLOPE]),
         "rise_over_two_state": lambda rows: ratio(rows[:, SLOPE]) / of_pool(n, pool.slope, rows) - 1,
     }

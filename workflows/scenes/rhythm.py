@@ -17,7 +17,6 @@ from stickslip.analysis.findings.finding import (
     Change,
     Difference,
     Family,
-    Finding,
     Form,
     KeyChange,
     Lack,
@@ -84,12 +83,11 @@ def question(study: Study) -> Answer:
     confidence = study.settings.confidence
     changed = changes(lines, noun(study.unit), confidence)
     changed.sort(key=_rank)
-    findings: list[Finding] = [*changed]
     shown_lines = [line for line in lines if line.key == lines[0].key]
     gaps = " No point is where a damped oscillator misses the spectrum." * bool(missed)
     caption = f"{_trend(changed, shown_lines[0].key)}. Bars are {100 * confidence:g}% intervals.{gaps}"
     return Answer(
-        findings=findings, n_lead=2, figures={"rhythm_period": Picture(partial(periods, shown_lines), caption)}
+        findings=changed, n_lead=2, figures={"rhythm_period": Picture(partial(periods, shown_lines), caption)}
     )
 
 

@@ -136,9 +136,8 @@ def _other(pair: _Pair, groups: Sequence[Group]) -> str:
         return "the tightest tolerance"
     if pair.kind is Kind.THRESHOLD and pair.reference is pair.group:
         return "its own definition of sticking"
-    setting, name = _engine(pair.reference, groups), pair.reference.key["engine"]
-    (words,) = in_words({setting: DIFFERENT}, DIFFERENT)
-    return engine_noun(name) if words == engine_name(name) else words
+    (words,) = in_words({_engine(pair.reference, groups): DIFFERENT}, DIFFERENT)
+    return engine_noun(pair.reference.key["engine"], words)
 
 
 def _setting(pair: _Pair, groups: Sequence[Group]) -> Variant:

@@ -200,8 +200,7 @@ def answer(study: Study) -> Answer:
         return Answer(findings=[missing], alerts=alerts, tables=tables, method=_method(study))
     if not alike:
         return Answer(findings=[Lack("the decay rate of cascade sizes", Reason.ONE_VALUE)], tables=tables)
-    lead, *_ = alike
-    where = places(study)
+    lead, where = alike[0], places(study)
     rates, *of_others = _rates(study, alike, where)
     leading = _findings(study, lead, where[lead.group.label], rates)
     findings = [rate for of_setting in of_others for rate in of_setting]
@@ -338,31 +337,36 @@ def _findings(study: Study, sums: Sums, where: Place, rates: Sequence[Level]) ->
     law = Law("cascade sizes", "fall off geometrically", rate, fit, departure, "fall off nearly geometrically",
               called="decay rate")  # fmt: skip
     methods = _beside_others(study, sums)
-    effects = [_effects(study, sums, where)] if len(further) == len(EFFECTS) - 1 else []
-    return [law, *effects, *methods[:1], *further, departure, *methods[1:]]
+    split = [_effects(study, sums, where)] if len(further) == len(EFFECTS) - 1 else []
+    return [law, *split, *methods[:1], *further, departure, *methods[1:]]
 
 
 def _effects(study: Study, sums: Sums, where: Place) -> Parts:
-    """What sets the decay rate apart from ln 2, as `_method` says, relative to that."""
+    """What sets the decay rate apart from ln 2, as `_method` says."""
     level, basis = study.settings.confidence, Basis(len(sums.rows), noun(study.unit))
+    statistics = effects(gamma, gamma_shifted, partial(of_pool, sums.n))
+    return sum_of({name: sums.estimate(of, level) for name, of in statistics.items()}, where, basis)
 
-    def finite_size(rows: np.ndarray) -> np.ndarray:
-        return of_pool(sums.n, rows) / LN2 - 1
 
-    def independent(rows: np.ndarray) -> np.ndarray:
-        return gamma_shifted(rows) / LN2 - 1
+def effects(runs: Statistic, shifted: Statistic, independent: Statistic) -> dict[str, Statistic]:
+    """`EXCESS` and `EFFECTS` by their keys, from the rates of runs, of shifted and of two-state blocks."""
 
-    statistics: tuple[Statistic, ...] = (
-        over_coin,
-        finite_size,
-        lambda rows: independent(rows) - finite_size(rows),
-        lambda rows: over_coin(rows) - independent(rows),
-    )
-    excess, *effects = (
-        Level(quantity, sums.estimate(statistic, level), where, basis=basis)
-        for quantity, statistic in zip((EXCESS, *EFFECTS), statistics, strict=True)
-    )
-    return Parts(excess, tuple(effects), "decay rate")
+    def excess_of(rate: Statistic, rows: np.ndarray) -> np.ndarray:
+        return rate(rows) / LN2 - 1
+
+    excess, own, finite_size = (partial(excess_of, rate) for rate in (runs, shifted, independent))
+    return {
+        "excess": excess,
+        "finite_size": finite_size,
+        "own_dynamics": lambda rows: own(rows) - finite_size(rows),
+        "coupling": lambda rows: excess(rows) - own(rows),
+    }
+
+
+def sum_of(estimates: Mapping[str, Estimate], where: Place, basis: Basis) -> Parts:
+    """The excess of the decay rate as the sum of its parts."""
+    excess, *parts = (Level(quantity, estimates[quantity.key], where, basis=basis) for quantity in (EXCESS, *EFFECTS))
+    return Parts(excess, tuple(parts), "decay rate")
 
 
 def _beside_others(study: Study, sums: Sums) -> list[Level]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -46,7 +45,7 @@ class Band(NamedTuple):
         return float(np.sqrt(self.above * self.upto))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Slow:
     """A group's spectra, the mean cycle of a block, from exit to exit, and the fit; None if windows are short."""
 
@@ -154,7 +153,8 @@ def slow_motion(study: Study, group: Group) -> Slow | None:
     if np.count_nonzero(has_exits) < 2:
         return None
     cycle = float(cycles.sum() / n_runs.sum())
-    m = min(common_motion.n_harmonics(span, CYCLES * cycle), n_periods - 1 if n_periods else sys.maxsize)
+    m = common_motion.n_harmonics(span, CYCLES * cycle)
+    m = min(m, n_periods - 1) if n_periods else m
     sums = study.sums(group, partial(_spectrum, m), 2 * m + 1)[has_exits]
     n_runs = sums[:, -1]
     means = sums[:, : 2 * m].reshape(-1, 2, m) / n_runs[:, None, None]

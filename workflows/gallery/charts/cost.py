@@ -25,10 +25,10 @@ class Product:
 
     def __init__(self, matrix: NDArray[np.float64] | sparray) -> None:
         n = matrix.shape[0]
-        names = {"matrix": matrix, "x": np.ones(n)}
+        statement, names = "matrix @ x", {"matrix": matrix, "x": np.ones(n)}
         if isinstance(matrix, np.ndarray):
+            statement = "dot(matrix, x, out=out)"
             names |= {"dot": np.dot, "matrix": np.ascontiguousarray(matrix), "out": np.empty(n)}
-        statement = "dot(matrix, x, out=out)" if "out" in names else "matrix @ x"
         self._timer, self._n = Timer(statement, globals=names), 16
         while (seconds := self._timer.timeit(self._n)) < _BATCH:
             self._n = max(2 * self._n, int(self._n * _BATCH / max(seconds, 1e-9)))
