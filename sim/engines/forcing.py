@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats, Ints
-from stickslip.sim.numerics.arithmetic import ROUNDING
+from stickslip.sim.numerics.arithmetic import ROUNDING, largest
 from stickslip.sim.systems.drive import Harmonic, Piecewise
 
 #: The rounding of a time or a phase, over that of a sum.
@@ -85,11 +85,13 @@ def begin(forcing: Forcing, s: float) -> None:
     """Prepare the coefficients of the series about the time s."""
     amplitude, frequency, phase, waves = forcing.amplitude, forcing.frequency, forcing.phase, forcing.waves
     m = len(amplitude)
+    known, cosine, sine = 0.0, 1.0, 0.0
     for j in range(m):
         for i in range(amplitude.shape[1]):
             angle = frequency[j, i] * s + phase[j, i]
-            waves[j, i] = amplitude[j, i] * math.cos(angle)
-            waves[m + j, i] = amplitude[j, i] * math.sin(angle)
+            if angle != known:  # most forces push all blocks in phase
+                known, cosine, sine = angle, math.cos(angle), math.sin(angle)
+            waves[j, i], waves[m + j, i] = amplitude[j, i] * cosine, amplitude[j, i] * sine
 
 
 @inner
@@ -101,25 +103,29 @@ def take_off(forcing: Forcing, s: float, k: int, forces: Floats) -> float:
     if not acts(forcing):
         return 0.0
     poly, waves, noise = forcing.poly, forcing.waves, forcing.noise[k]
-    frequency, phase = forcing.frequency, forcing.phase
-    m, most = len(frequency), 0.0
-    for i in range(len(forces)):
-        value, size = 0.0, 0.0
-        if k < 3:
-            for p in range(k, 3):
-                factor = (2.0 if k == 1 and p == 2 else 1.0) * poly[p, i]
-                term = factor * s ** (p - k)
-                value += term
-                size += abs(term) * (1.0 + _OF_PHASE * (p - k))
-        for j in range(m):
-            cosine, sine = waves[j, i], waves[m + j, i]
-            value += cosine
-            size += (abs(cosine) + abs(sine)) * (1.0 + _OF_PHASE * abs(frequency[j, i] * s + phase[j, i]))
-            factor = frequency[j, i] / (k + 1)
+    frequency, phase, m, n = forcing.frequency, forcing.phase, len(forcing.frequency), len(forces)
+    for i in range(n):
+        noise[i] = 0.0
+    for p in range(k, 3):
+        factor = (2.0 if k == 1 and p == 2 else 1.0) * s ** (p - k)
+        for i in range(n):
+            noise[i] += factor * poly[p, i]
+    for j in range(m):
+        for i in range(n):
+            noise[i] += waves[j, i]
+    most = largest(noise)
+    for i in range(n):
+        forces[i] -= noise[i]
+        noise[i] = 0.0
+    for p in range(k, 3):
+        factor = (2.0 if k == 1 and p == 2 else 1.0) * abs(s) ** (p - k) * (1.0 + _OF_PHASE * (p - k))
+        for i in range(n):
+            noise[i] += factor * abs(poly[p, i])
+    for j in range(m):
+        for i in range(n):
+            cosine, sine, factor = waves[j, i], waves[m + j, i], frequency[j, i] / (k + 1)
+            noise[i] += (abs(cosine) + abs(sine)) * (1.0 + _OF_PHASE * abs(frequency[j, i] * s + phase[j, i]))
             waves[j, i], waves[m + j, i] = -sine * factor, cosine * factor
-        forces[i] -= value
-        noise[i] = size
-        most = max(most, abs(value))
     return most
 
 
@@ -246,7 +252,7 @@ class Drive:
 
         Also puts sums of z, the second row of `all_stuck`, at the s in the first, into the user's frame and time.
         """
-        if not self.is_forced:
+        if self._bounds.shape[1] == 1 and not self._moves:
             only, last = self._bounds[:2, 0].tolist()
             all_stuck[0] = times(only, last, all_stuck[0])
             return np.zeros(len(s), np.intp), times(only, last, s)

@@ -142,7 +142,8 @@ def _pass_event(run: Run[None], window: Window, block: int, step: float, left: f
     if _on_the_edge(run, z_max, block, order, 0.0, True) > 1:
         return 0.0
     of_series = Series(order, window.span, window.allowed, z_max)
-    h = correct(model, expansion, block, of_series, left, run.goal.rate)
+    h, n_products = correct(model, expansion, block, of_series, left, run.goal.rate)
+    state.counters[course.N_PRODUCTS] += n_products
     expansion.touching[block] = mode[block] != 0  # so that a new expansion, if it comes first, decides the same
     return h
 
