@@ -183,15 +183,18 @@ class Drive:
         knots = [term.times for term in (*changing, *((system.belt_speed,) if self._moves else ()))]
         inside = self._knots = np.unique(np.concatenate(knots)) if knots else np.empty(0)
         ends = np.append(inside[(inside > t_start) & (inside <= task.t_end)], task.t_end)
-        m = len(self._waves)
+        m, cuts = len(self._waves), np.array([t_start])
         table = np.zeros((PHASE + m, n))
         most = max(min(_AT_ONCE, _ROOM // table.size), 2) if self._moves or len(ends) > 1 else 1
+        if 1 < most >= len(ends):  # few pieces have a short table
+            cuts, ends = np.append(cuts, self._cut(np.append(cuts, ends))), ends[:0]
+            most = max(min(most, len(cuts) - 2), 2)
         bounds = self._bounds = np.full((3, most), -np.inf)
         tables, counts = np.zeros((most, *table.shape)), np.zeros((most, 2), np.int64)
         pieces = Pieces(bounds, tables, counts, np.zeros(1, np.int64), task.samples.t)
         waves, noise = np.zeros((2 * m, n)), np.zeros((orders, n))
         self.forcing = Forcing(table[:3], amplitude, frequency, table[PHASE:], waves, noise, table, pieces)
-        self.belt_speed, self._batches = table[BELT], self._cuts(t_start, ends, most)
+        self.belt_speed, self._batches = table[BELT], self._cuts(cuts, ends, most)
         self._over: list[tuple[NDArray[Any], ...]] = []
         self._prepare()
         pieces.n_ahead[0] -= 1
@@ -302,14 +305,14 @@ class Drive:
         drag: Floats = self._system.damping * speed
         return drag if cross is None else drag + (cross @ speed.T).T
 
-    def _cuts(self, start: float, ends: Floats, most: int) -> Iterator[tuple[Floats, bool]]:
-        """Bounds of pieces, at most so many at once, from a time on; and whether it is the last, alone."""
-        cuts = np.array([start])
-        for first in range(0, len(ends), most):
-            cuts = np.append(cuts, self._cut(np.append(cuts[-1], ends[first : first + most])))
-            while len(cuts) > most + 1:
+    def _cuts(self, cuts: Floats, ends: Floats, most: int) -> Iterator[tuple[Floats, bool]]:
+        """Bounds of pieces, at most so many at once, these cuts first; and whether it is the last, alone."""
+        while len(ends) or len(cuts) > most + 1:
+            if len(cuts) > most + 1:
                 yield cuts[: most + 1], False
                 cuts = cuts[most:]
+            else:
+                cuts, ends = np.append(cuts, self._cut(np.append(cuts[-1], ends[:most]))), ends[most:]
         if len(cuts) > 2:
             yield cuts[:-1], False
         yield cuts[-2:], True

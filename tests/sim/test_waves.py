@@ -291,7 +291,7 @@ def test_a_sparse_array_of_many_entries_a_row_is_run_as_the_dense_one(rng):
 
 
 def test_tighter_tolerances_take_more_blocks():
-    for n, least in ((64, 5.5e-7), (91, 1e-7), (227, 1e-9), (359, 1e-10), (2000, 1e-10)):
+    for n, least in ((64, 6e-7), (95, 1e-7), (258, 1e-9), (425, 1e-10), (2000, 1e-10)):
         system = System(np.eye(n) + 0.01, 1.0, 1.0, -0.2)
         assert settings.Coulomb(tol=least).is_by_waves(system)
         assert not settings.Coulomb(tol=0.9 * least).is_by_waves(system)

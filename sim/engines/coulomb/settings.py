@@ -17,7 +17,7 @@ from stickslip.sim.systems.system import System
 #: The fewest blocks from which waveform relaxation is faster, the least tolerance there, and the power of n by which
 #: that falls, to 1e-10, by `python -m tests.picks`; the same where static friction is above the kinetic, so that each
 #: exit is a jump of friction and a kink in the F of others.
-SIZE_OF_WAVES, TOL_OF_WAVES, FALL_OF_WAVES, LEAST_OF_WAVES = 64, 5.5e-7, 5.0, 1e-10
+SIZE_OF_WAVES, TOL_OF_WAVES, FALL_OF_WAVES, LEAST_OF_WAVES = 64, 6e-7, 4.6, 1e-10
 TOL_OF_JUMPS, FALL_OF_JUMPS = 3.6e-6, 3.0
 #: The factor of that if the least damping is a smaller share of |eigenvalues|, and the least tolerances of either: F
 #: then swings, and events become rare, from which series take long steps.
@@ -118,7 +118,7 @@ class Coulomb(Engine):
     def is_by_waves(self, system: System, length: float = math.inf) -> bool:
         """Whether runs of a system are made by waveform relaxation, as far as they are not started at an event.
 
-        If n is at least 64 and `tol` at least 5.5e-7 (91 blocks: 1e-7, 227: 1e-9, 359: 1e-10), or, where static
+        If n is at least 64 and `tol` at least 6e-7 (95 blocks: 1e-7, 258: 1e-9, 425: 1e-10), or, where static
         friction is above the kinetic, 3.6e-6 (99: 1e-6, 212: 1e-7), sixty times as much if damping is light; with
         fewer than six entries a row of K, 1e-6 at least, and no light damping; if the run is not short, the belts
         have constant speeds, one of which is not zero, there are no forces, friction does not depend on the speed of
