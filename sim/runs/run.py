@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -150,6 +151,11 @@ class Run:
         The events under adiabatic loading; None of a belt that moves.
     by_threshold : mapping of float to EventSeries
         The events by each of the further definitions of sticking, ``thresholds`` of the sigmoid engine.
+
+    Raises
+    ------
+    IntegrationError
+        If the state at the end is not finite, and the run has not diverged: an engine may not have noticed.
     """
 
     z: Floats
@@ -164,6 +170,14 @@ class Run:
     stills: Stills | None = None
     loaded: Loaded | None = None
     by_threshold: Mapping[float, EventSeries] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        # the product of two finite states may overflow, so it does not say that they are
+        if not math.isfinite(self.z.dot(self.w)) and self.outcome != "diverged":
+            beyond = ~(np.isfinite(self.z) & np.isfinite(self.w))
+            if beyond.any():
+                where = f"block {int(beyond.argmax())} has no finite state at t = {self.t_end:g}"
+                raise IntegrationError(f"{where}; take a smaller step or tolerance, or another engine")
 
     def n_stick(self, times: ArrayLike) -> NDArray[np.int32]:
         """Number of sticking blocks at given times; see `EventSeries.n_stick`."""

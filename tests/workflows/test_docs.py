@@ -30,7 +30,7 @@ from stickslip.pipeline import SceneError, expand, load_scene, parse_scene, quer
 from stickslip.pipeline.dataset.opened import open_dataset
 from stickslip.pipeline.records import RECORDS
 from stickslip.pipeline.scene import engine_table
-from stickslip.sim import draw_system, simulate
+from stickslip.sim import IntegrationError, System, draw_system, simulate
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.systems import couplings
 from stickslip.sim.systems.graphs import GRAPHS, Graph
@@ -393,6 +393,8 @@ def test_an_engine_is_a_class_with_its_settings(monkeypatch):
         engine_table._table(engine).model_validate({"name": "fixed_step", "step": 0.0})
     with pytest.raises(ValueError, match=r"^step: expected a number in \(0, inf\)"):
         simulate(system, -0.7, -0.4, 2.0, engine="fixed_step", step=0.0)
+    with pytest.warns(RuntimeWarning), pytest.raises(IntegrationError, match="no finite state at t = 100; take"):
+        simulate(System([[-400.0]], 0.0, 1.0, -0.2), 1.0, 0.0, 100.0, engine="fixed_step")
 
 
 def test_what_the_steps_name_is_there():
