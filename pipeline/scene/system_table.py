@@ -450,7 +450,9 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
         """About how many bytes drawing the largest system takes."""
         n = max(self.n)
         if self.coupling in COUPLINGS:
-            return 3.0 * 8 * math.prod(COUPLINGS[self.coupling].shape(n))  # a draw, its transpose and their sum
+            coupling = COUPLINGS[self.coupling]
+            n_entries = n**2 if coupling.is_dense else 0
+            return 3.0 * 8 * max(math.prod(coupling.shape(n)), n_entries)  # a draw, its transpose and their sum
         if self.is_of_files:
             return max((100.0 if file.is_sparse else 24.0) * file.entries for file in self.known_files.values())
         if self.module is not None:

@@ -73,6 +73,11 @@ class Coupling:
         """The shape of U for n blocks."""
         return n, n if self.width is None else self.width
 
+    @property
+    def is_dense(self) -> bool:
+        """Whether K is a dense array."""
+        return isinstance(self.rule(np.zeros(self.shape(2))), np.ndarray)
+
 
 #: All there are, by name: a line here makes one known to `draw_system`, scenes, datasets and reports.
 COUPLINGS: dict[str, Coupling] = {

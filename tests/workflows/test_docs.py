@@ -300,8 +300,9 @@ def test_a_coupling_is_one_line(monkeypatch):
     assert np.count_nonzero(k) == 9 + 16
     np.testing.assert_array_equal(np.triu(k, 1), -np.tril(k, -1).T)
     source = (ROOT / "workflows" / "scenes" / "quick.toml").read_text().replace('"antisymmetric"', f'"{name}"')
-    member = next(iter(expand(parse_scene(source.encode()))))
-    assert member.simulate().outcome in ("finished", "collapsed")
+    scene = parse_scene(source.encode())
+    assert scene.system.bytes_of_system >= draw_system(name, max(scene.system.n), 5).stiffness.nbytes
+    assert next(iter(expand(scene))).simulate().outcome in ("finished", "collapsed")
     with pytest.raises(SceneError, match=r"keep what coupling = \"row\" is, \[\"relative\"\], got"):
         parse_scene(source.encode() + b"[perturbation]\nsizes = 0.1\n")
 

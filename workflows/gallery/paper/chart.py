@@ -13,7 +13,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from stickslip import sim
 from stickslip.analysis.answer import Recipe
 from stickslip.analysis.rows import frame_of
 from stickslip.pipeline.scene.toml import BlockNumbers, Blocks, Count, Positive, PositiveNumbers
@@ -25,7 +24,7 @@ from stickslip.workflows.gallery.paper.claims import STRONGEST, judge
 from stickslip.workflows.gallery.paper.figure_6 import BlowUp, SlowRun
 from stickslip.workflows.gallery.paper.figures_1_2 import ONE, Parallelogram, Portrait, Uniqueness
 from stickslip.workflows.gallery.paper.figures_3_to_5 import Cascades, Pairing, Row, Trace, panels
-from stickslip.workflows.gallery.paper.runs import SCALES, Ask, run_all
+from stickslip.workflows.gallery.paper.runs import OF_TEXT, SCALES, Ask, run_all
 
 
 @dataclass(frozen=True)
@@ -131,7 +130,7 @@ class PaperScene(ChartScene):
                 yield Ask("keys", f"{name} {factor:g}", n, matrix, self.t_few, scale=name, factor=factor)
             for detail, matrix in product(("start", "friction"), range(min(4 * self.few, self.matrices))):
                 yield Ask("details", detail, n, matrix, self.t_few, detail=detail)
-            for coupling, blocks, matrix in product(sim.COUPLINGS, self.n, matrices):
+            for coupling, blocks, matrix in product(OF_TEXT, self.n, matrices):
                 yield Ask("readings", coupling, blocks, matrix, self.t_few, coupling=coupling)
 
     def measure(self, say: Say) -> Measured:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stickslip import sim
 from stickslip.analysis.models.fates import COLLAPSED, DIVERGED, FAILED, LULL, MOVING, QUIET, WATCHED
 from stickslip.analysis.stats import components
 from stickslip.analysis.stats.enough import LEAST_MATRICES
@@ -34,7 +33,7 @@ from stickslip.workflows.gallery.charts.claims import (
 )
 from stickslip.workflows.gallery.paper import figures_1_2
 from stickslip.workflows.gallery.paper.figures_3_to_5 import PAPER_GAMMA, Cascades, Row, by_definition, escapes
-from stickslip.workflows.gallery.paper.runs import SCALES
+from stickslip.workflows.gallery.paper.runs import OF_TEXT, SCALES
 
 if TYPE_CHECKING:
     from stickslip.workflows.gallery.paper.chart import Measured, PaperScene
@@ -197,7 +196,7 @@ def details(scene: PaperScene, measured: Measured) -> Claim:
     rows = _changed(scene, measured, "details")
     fates = [*((COLLAPSED,) for _ in scene.n[:-1]), MOVING]
     readings: list[Claim] = []
-    for coupling in sim.COUPLINGS:
+    for coupling in OF_TEXT:
         by_n = [[row for row in _of(measured, "readings", n) if row.setting == coupling] for n in scene.n]
         fits, may_fit = (
             all(

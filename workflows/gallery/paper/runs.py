@@ -21,6 +21,8 @@ from stickslip.workflows.gallery.charts.peers import W0, Z0, Floats, random_rati
 
 #: The ensemble that gives all of figure 3; the constants of section 4.
 ENSEMBLE = "antisymmetric"
+#: How K may be drawn as the text has it, by coupling.
+OF_TEXT = (ENSEMBLE, "antisymmetric_triangle", "signed_diagonal", "full", "symmetric", "springs")
 SCALES: Mapping[str, float] = MappingProxyType({"kappa": 0.2, "rho": 3.5, "friction": 1.0, "belt_speed": -0.2})
 #: Sigmoids of slope one in the middle that no engine has.
 SIGMOIDS: Mapping[str, Callable[[Floats], Floats]] = MappingProxyType(
