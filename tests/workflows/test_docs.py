@@ -40,6 +40,7 @@ from stickslip.workflows.gallery import CHARTS
 from stickslip.workflows.reporting import study_of
 from tests.processes import computed_here, python
 from tests.scenes import own_law
+from tests.sim.contract import require_rules
 
 ROOT = Path(__file__).parents[2]
 PAGES = {file.stem: file for file in (ROOT / "docs").rglob("*.md")}
@@ -380,7 +381,7 @@ def test_a_chart_is_a_file_and_a_template(tmp_path, monkeypatch, capsys):
     assert f" {costs.products[1]:.0f} products" in wide
 
 
-def test_an_engine_is_a_class_with_its_settings(monkeypatch):
+def test_an_engine_is_a_class_with_its_settings(monkeypatch, rng):
     engine = run_python("extending", "class FixedStep")["FixedStep"]
     monkeypatch.setitem(ENGINES, engine.name, engine)
     system = draw_system("antisymmetric", 5, 3)
@@ -394,8 +395,9 @@ def test_an_engine_is_a_class_with_its_settings(monkeypatch):
         engine_table._table(engine).model_validate({"name": "fixed_step", "step": 0.0})
     with pytest.raises(ValueError, match=r"^step: expected a number in \(0, inf\)"):
         simulate(system, -0.7, -0.4, 2.0, engine="fixed_step", step=0.0)
+    require_rules("fixed_step", rng, step=0.01)
     with pytest.warns(RuntimeWarning), pytest.raises(IntegrationError, match="no finite state at t = 100; take"):
-        simulate(System([[-400.0]], 0.0, 1.0, -0.2), 1.0, 0.0, 100.0, engine="fixed_step")
+        simulate(System([[-400.0]], 0.0, 1.0, -0.2), 1.0, 0.0, 100.0, engine="fixed_step", step=0.01)
 
 
 def test_what_the_steps_name_is_there():
