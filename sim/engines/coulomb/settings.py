@@ -28,9 +28,9 @@ MANY_ENTRIES, TOL_OF_FEW = 6, 1e-6
 #: Waves take longer to begin: below this n^3 times the length of a run, in units of 1 / |eigenvalue|, series are
 #: faster. A run of no more than `NO_LENGTH` is made as a long one, and loads its kernels.
 SHORT, NO_LENGTH = 5e7, 1e-3
-#: The largest share of entries of K of which products by sparse rows are faster in waves, and with which events are
-#: local updates in series, beside one entry a row.
-ROWS, LOCAL = 0.15, 0.02
+#: The largest share of entries of K of which products by sparse rows are faster in waves, up to so many blocks, and
+#: beyond, where a dense K leaves the cache; and with which events are local updates in series, beside one a row.
+ROWS, CACHED, ROWS_BEYOND, LOCAL = 0.06, 500, 0.12, 0.02
 
 #: The loosest tolerance of series; a looser one counts as this. 1e-3 took 5 to 40% fewer products, in about the same
 #: time, but its errors hide short sticks of blocks that come back to touch the belt. With 1e-5, of systems of up to
@@ -122,10 +122,11 @@ class Coulomb(Engine):
         friction is above the kinetic, 3.6e-6 (99: 1e-6, 212: 1e-7), sixty times as much if damping is light; with
         fewer than six entries a row of K, 1e-6 at least, and no light damping; if the run is not short, the belts
         have constant speeds, one of which is not zero, there are no forces, friction does not depend on the speed of
-        slip, which may go to either side, and no block is heavily damped. Damping between blocks gives F a kink at
-        each event of another block, which no polynomial over a macro step follows: such systems take series, as do
-        `simulate` with `modes`, a start at which |F| is at static friction, and a run that this method cannot carry
-        through. Over this length errors of steps add up where damping is weak, and `tol` is that of a step.
+        slip, which may go to either side, and the R of no block is far above all rates. Damping between blocks gives
+        F a kink at each event of another block, which no polynomial over a macro step follows: such systems take
+        series, as do `simulate` with `modes`, a start at which |F| is at static friction, and a run that this method
+        cannot carry through. Over this length errors of steps add up where damping is weak, and `tol` is that of a
+        step.
         """
         n, phases = system.n, system.fastest_rate * length
         is_short = phases > NO_LENGTH and n**3 * phases < SHORT
@@ -145,15 +146,15 @@ class Coulomb(Engine):
             return False
         if system.force or system.weakening is not None or not system.back_slip or system.fastest_belt == 0.0:
             return False
-        from stickslip.sim.engines.coulomb.overdamped import has_heavy  # as in `prepare`
+        from stickslip.sim.engines.coulomb.overdamped import is_heavy  # as in `prepare`
 
-        return not has_heavy(system)
+        return not is_heavy(system.damping, system.row_sums.max(), 0.0).any()
 
     @staticmethod
     def is_sparse(system: System, by_waves: bool) -> bool:
         """Whether a method takes K as a sparse array, however it is stored."""
         if by_waves:
-            return system.entries_a_row <= ROWS * system.n
+            return system.entries_a_row <= (ROWS if system.n <= CACHED else ROWS_BEYOND) * system.n
         if system.weakening is not None or system.force or system.changes or system.cross_damping is not None:
             return not isinstance(system.stiffness, np.ndarray)  # events are no local updates, or nothing else
         return system.n >= SIZE_OF_WAVES and system.entries_a_row <= 1.0 + LOCAL * system.n
