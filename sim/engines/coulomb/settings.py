@@ -14,11 +14,11 @@ from stickslip.sim.engines.tolerances import TOL
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.system import System
 
-#: The fewest blocks from which waveform relaxation is faster, the least tolerance there, and the power of n by which
-#: that falls, to 1e-10, by `python -m tests.picks`; the same where static friction is above the kinetic, so that each
-#: exit is a jump of friction and a kink in the F of others.
-SIZE_OF_WAVES, TOL_OF_WAVES, FALL_OF_WAVES, LEAST_OF_WAVES = 64, 6e-7, 4.6, 1e-10
-TOL_OF_JUMPS, FALL_OF_JUMPS = 3.6e-6, 3.0
+#: The fewest blocks from which waveform relaxation is faster, by `python -m tests.picks`.
+SIZE_OF_WAVES = 64
+#: The least tolerance there, the power of n by which that falls, and to what; the same where static friction is above
+#: the kinetic, so that each exit is a jump of friction and a kink in the F of others.
+OF_WAVES, OF_JUMPS = (6e-7, 4.6, 1e-10), (3.6e-6, 3.0, 5e-9)
 #: The factor of that if the least damping is a smaller share of |eigenvalues|, and the least tolerances of either: F
 #: then swings, and events become rare, from which series take long steps.
 LIGHT, TOL_OF_LIGHT, LEAST_OF_LIGHT, LEAST_OF_LIGHT_JUMPS = 0.25, 60.0, 2e-8, 1e-5
@@ -119,23 +119,23 @@ class Coulomb(Engine):
         """Whether runs of a system are made by waveform relaxation, as far as they are not started at an event.
 
         If n is at least 64 and `tol` at least 6e-7 (95 blocks: 1e-7, 258: 1e-9, 425: 1e-10), or, where static
-        friction is above the kinetic, 3.6e-6 (99: 1e-6, 212: 1e-7), sixty times as much if damping is light; with
-        fewer than six entries a row of K, 1e-6 at least, and no light damping; if the run is not short, the belts
-        have constant speeds, one of which is not zero, there are no forces, friction does not depend on the speed of
-        slip, which may go to either side, and the R of no block is far above all rates. Damping between blocks gives
-        F a kink at each event of another block, which no polynomial over a macro step follows: such systems take
-        series, as do `simulate` with `modes`, a start at which |F| is at static friction, and a run that this method
-        cannot carry through. Over this length errors of steps add up where damping is weak, and `tol` is that of a
-        step.
+        friction is above the kinetic, 3.6e-6 (99: 1e-6, 212: 1e-7, 574: 5e-9, and no less), sixty times as much if
+        damping is light; with fewer than six entries a row of K, 1e-6 at least, and no light damping; if the run is
+        not short, the belts have constant speeds, one of which is not zero, there are no forces, friction does not
+        depend on the speed of slip, which may go to either side, and the R of no block is far above all rates.
+        Damping between blocks gives F a kink at each event of another block, which no polynomial over a macro step
+        follows: such systems take series, as do `simulate` with `modes`, a start at which |F| is at static friction,
+        and a run that this method cannot carry through. Over this length errors of steps add up where damping is
+        weak, and `tol` is that of a step.
         """
         n, phases = system.n, system.fastest_rate * length
         is_short = phases > NO_LENGTH and n**3 * phases < SHORT
         if n < SIZE_OF_WAVES or is_short or self.accumulation(system, length) > MOST_MEMORY:
             return False
         jumps = system.is_static_above
-        tol, fall = (TOL_OF_JUMPS, FALL_OF_JUMPS) if jumps else (TOL_OF_WAVES, FALL_OF_WAVES)
+        tol, fall, lowest = OF_JUMPS if jumps else OF_WAVES
         is_light = system.least_damping < LIGHT * system.fastest_rate
-        least = max(tol * (SIZE_OF_WAVES / n) ** fall, LEAST_OF_WAVES)
+        least = max(tol * (SIZE_OF_WAVES / n) ** fall, lowest)
         if is_light:
             least = max(TOL_OF_LIGHT * least, LEAST_OF_LIGHT_JUMPS if jumps else LEAST_OF_LIGHT)
         if system.entries_a_row < MANY_ENTRIES:
