@@ -112,12 +112,8 @@ def test_right_hand_side_and_derivatives_of_one_block_are_the_equations():
 def test_the_jacobian_times_a_vector_is_the_jacobian():
     problem = problem_of_three()
     equations, rng = Equations(problem), np.random.default_rng(0)
-    y, direction, product = (
-        np.append(rng.normal(size=3), -0.3 + 0.01 * rng.normal(size=3)),
-        rng.normal(size=6),
-        np.empty(6),
-    )
-    equations.along(equations.drag(y), direction, product)
+    y, direction = np.append(rng.normal(size=3), -0.3 + 0.01 * rng.normal(size=3)), rng.normal(size=6)
+    product = equations.along(equations.drag(y), direction)
     np.testing.assert_allclose(product, equations.jacobian(0.0, y) @ direction, rtol=1e-13)
 
 

@@ -147,19 +147,14 @@ def _state(problem: Problem, engine: str, **settings: Any) -> Solution:
 
 
 class Equations:
-    """The right-hand side and its derivatives, by numpy.
-
-    Work space is allocated once; results are new arrays where a solver keeps several of them at a time.
-    """
+    """The right-hand side and its derivatives, by numpy."""
 
     def __init__(self, problem: Problem) -> None:
         system = problem.system
         self.n = n = system.n
         self._stiffness = np.ascontiguousarray(system.stiffness)
         self._damping, self._friction, self._v = system.damping, system.friction, system.belt_speed
-        self._inverse_delta = 1.0 / problem.delta
-        self._steepest = system.friction / problem.delta
-        self._force, self._x = np.empty(n), np.empty(n)
+        self._delta = problem.delta
         self._jacobian = np.block([[np.zeros((n, n)), np.eye(n)], [-self._stiffness, np.zeros((n, n))]])
         self._diagonal = np.arange(n, 2 * n)
         self._patience, self._deadline = problem.patience, math.inf
@@ -168,49 +163,32 @@ class Equations:
         """Start the clock of a run."""
         self._deadline = time.perf_counter() + self._patience
 
-    def fill(self, y: Floats, rate: Floats) -> None:
-        """f(y) into `rate`, both of shape (2 n,); raises GivenUp once the run has taken too long."""
+    def __call__(self, t: float, y: Floats) -> Floats:
+        """f(y), shape (2 n,); raises GivenUp once the run has taken too long."""
         if time.perf_counter() > self._deadline:
             raise GivenUp(f"given up after {self._patience:g} s")
-        n, force, x = self.n, self._force, self._x
-        w = y[n:]
-        rate[:n] = w
-        np.dot(self._stiffness, y[:n], out=force)
-        self._tanh(w)
-        x *= self._friction
-        force += x
-        np.multiply(self._damping, w, out=x)
-        force += x
-        np.negative(force, out=rate[n:])
+        z, w = y[: self.n], y[self.n :]
+        force = self._stiffness @ z
+        force += self._damping * w
+        force += self._friction * self._tanh(w)
+        return np.concatenate((w, -force))
 
-    def _tanh(self, w: Floats) -> None:
-        x = self._x
-        np.subtract(w, self._v, out=x)
-        x *= self._inverse_delta
-        np.tanh(x, out=x)
-
-    def __call__(self, t: float, y: Floats) -> Floats:
-        rate = np.empty(2 * self.n)
-        self.fill(y, rate)
-        return rate
+    def _tanh(self, w: Floats) -> Floats:
+        return np.tanh((w - self._v) / self._delta)
 
     def drag(self, y: Floats) -> Floats:
         """R + mu / delta sech^2((w - v) / delta), shape (n,): -dw'/dw, all of the stiffness."""
-        self._tanh(y[self.n :])
-        return self._damping + self._steepest * (1.0 - self._x * self._x)
+        return self._damping + self._friction / self._delta * (1.0 - self._tanh(y[self.n :]) ** 2)
 
     def jacobian(self, t: float, y: Floats) -> Floats:
         """df/dy, shape (2 n, 2 n); one array, filled anew in each call."""
         self._jacobian[self._diagonal, self._diagonal] = -self.drag(y)
         return self._jacobian
 
-    def along(self, drag: Floats, direction: Floats, product: Floats) -> None:
-        """df/dy times `direction` into `product`, both of shape (2 n,), by one product with K."""
-        n = self.n
-        product[:n] = direction[n:]
-        np.dot(self._stiffness, direction[:n], out=self._force)
-        self._force += drag * direction[n:]
-        np.negative(self._force, out=product[n:])
+    def along(self, drag: Floats, direction: Floats) -> Floats:
+        """df/dy times a direction, both of shape (2 n,), by one product with K."""
+        dz, dw = direction[: self.n], direction[self.n :]
+        return np.concatenate((dw, -(self._stiffness @ dz + drag * dw)))
 
 
 # ---------------------------------------------------------------------------------------------- the peers
@@ -245,13 +223,13 @@ def _cvode(problem: Problem) -> Solver:
     drag = np.empty(n)
 
     def rate(t: float, y: Floats, yp: Floats) -> None:
-        equations.fill(y, yp)
+        yp[:] = equations(t, y)
 
     def product_setup(t: float, y: Floats, yp: Floats) -> None:
         drag[:] = equations.drag(y)  # before each linear solve: so the preconditioner is never stale
 
     def product(t: float, y: Floats, yp: Floats, v: Floats, jv: Floats) -> None:
-        equations.along(drag, v, jv)
+        jv[:] = equations.along(drag, v)
 
     def without_k(t: float, y: Floats, yp: Floats, r: Floats, x: Floats, gamma: float, delta: float, lr: int) -> None:
         np.divide(r[n:], 1.0 + gamma * drag, out=x[n:])
