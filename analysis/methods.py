@@ -8,17 +8,18 @@ from dataclasses import dataclass, replace
 from stickslip.analysis.catalogues import Catalogues
 from stickslip.analysis.contrast import Contrast, Statistic, contrast
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.finding import Comparison, Family, Scale
+from stickslip.analysis.findings.finding import Family, Scale
 from stickslip.analysis.members import STEPS, WIDTHS
 from stickslip.analysis.models.episodes import DURATION, QUANTITIES, RATE, SIZE, SLIP
-from stickslip.analysis.models.largest_gap import Difference, largest_gap
-from stickslip.analysis.stats.estimates import Undefined
+from stickslip.analysis.models.largest_gap import largest_gap
+from stickslip.analysis.stats.estimates import Undefined, ratio
 from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.steps import Kind, Step, Variant
 from stickslip.pipeline.design.labels import Label, Part, engine_name
 from stickslip.pipeline.design.labels import apart as labels_apart
 
 MAGNITUDES = "magnitudes"
+DISTANCE = Statistic(MAGNITUDES, ratio, title="Kolmogorov-Smirnov distance between magnitudes")
 #: Statistics by which methods are compared, by name; differences of a share are in percentage points.
 STATISTICS: Mapping[str, tuple[Statistic, Scale]] = {
     name: (Statistic(name, QUANTITIES[name].of), Scale.ABSOLUTE if name == SLIP else Scale.RELATIVE)
@@ -33,85 +34,66 @@ class Apart:
 
     Attributes
     ----------
-    name : str
-        One of `STATISTICS` or `MAGNITUDES`.
-    found : Contrast, laws.Difference or str
-        Of a statistic; of magnitudes, or why there is none.
-    family : Family, optional
-        The comparisons that it is judged together with, if it is tested: the primary ones, or the others.
+    contrast : Contrast
+        Of magnitudes, `absolute` is the distance. It is judged together with the primary ones, or with the others.
+    p_floor : float
+        The least p-value that it can have.
     """
 
     setting: Catalogues
     reference: Catalogues
-    name: str
-    found: Contrast | Difference | str
-    family: Family | None = None
+    contrast: Contrast
+    p_floor: float = 0.0
 
     @property
-    def p(self) -> float | None:
-        """The p-value of no difference, alone."""
-        return None if isinstance(self.found, str) else self.found.p_different
-
-    @property
-    def law(self) -> Difference | None:
-        """How far two laws lie apart, if they were compared."""
-        return self.found if isinstance(self.found, Difference) else None
-
-    @property
-    def p_floor(self) -> float:
-        """The least p-value that it can have."""
-        return 0.0 if self.law is None else self.law.p_floor
+    def name(self) -> str:
+        """One of `STATISTICS` or `MAGNITUDES`."""
+        return self.contrast.statistic.name
 
     @property
     def is_shown(self) -> bool:
         """Whether a difference is shown, among all comparisons of its family."""
-        return self.family is not None and self.family.p_different < self.family.alpha
+        family = self.contrast.family
+        return family is not None and family.p_different < family.alpha
 
     @property
     def step(self) -> Step:
         """A statistic beside that of the reference."""
-        assert isinstance(self.found, Contrast)
-        return Step(Kind.LAW, self.setting.label, self.reference.label, replace(self.found, family=self.family))
-
-    def comparison(self) -> Comparison:
-        """A statistic beside that of the reference, for a finding."""
-        return Comparison(self.reference.noun, self.step.contrast.difference)
+        return Step(Kind.LAW, self.setting.label, self.reference.label, self.contrast)
 
 
 def compare(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apart]:
     """Every setting beside the first of the same systems."""
-    level = study.settings.confidence
-    pairs = [
-        pair
-        for finest, *looser in by_system
-        if finest.is_judged
-        for setting in looser
-        for pair in (
-            *(
-                Apart(setting, finest, name, contrast(of, finest.sums[name], setting.sums[name], True, level, scale))
-                for name, (of, scale) in STATISTICS.items()
-            ),
-            Apart(setting, finest, MAGNITUDES, _of_magnitudes(study, finest, setting)),
-        )
-    ]
+    level, pairs = study.settings.confidence, list[Apart]()
+    for finest, *looser in by_system:
+        for setting in looser if finest.is_judged else ():
+            for name, (of, scale) in STATISTICS.items():
+                difference = contrast(of, finest.sums[name], setting.sums[name], True, level, scale)
+                pairs.append(Apart(setting, finest, difference))
+            pairs.append(_of_magnitudes(study, finest, setting))
     for is_primary in (True, False):
-        tested = [k for k, pair in enumerate(pairs) if pair.p is not None and (pair.name in PRIMARY) is is_primary]
-        able = [
-            k for k in tested if pairs[k].p_floor * len(tested) < 1 - level
-        ]  # few systems: a test can show nothing
-        for k, p in zip(able, holm([pairs[k].p or 0.0 for k in able]).tolist(), strict=True):
-            pairs[k] = replace(pairs[k], family=Family(len(able), p, alpha=1 - level))
+        ps = {
+            k: p
+            for k, pair in enumerate(pairs)
+            if (p := pair.contrast.p_different) is not None and (pair.name in PRIMARY) is is_primary
+        }
+        able = [k for k in ps if pairs[k].p_floor * len(ps) < 1 - level]  # few systems: a test can show nothing
+        for k, p in zip(able, holm([ps[k] for k in able]).tolist(), strict=True):
+            family = Family(len(able), p, alpha=1 - level)
+            pairs[k] = replace(pairs[k], contrast=replace(pairs[k].contrast, family=family))
     return pairs
 
 
-def _of_magnitudes(study: Study, first: Catalogues, second: Catalogues) -> Difference | str:
+def _of_magnitudes(study: Study, finest: Catalogues, setting: Catalogues) -> Apart:
     """How far the magnitudes of two groups lie apart on the systems that both ran, or why that is not known."""
-    units = sorted(first.runs.keys() & second.runs.keys())
-    pairs = [(first.magnitudes_of(unit), second.magnitudes_of(unit)) for unit in units]
+    units = sorted(finest.runs.keys() & setting.runs.keys())
+    values = [(finest.magnitudes_of(unit), setting.magnitudes_of(unit)) for unit in units]
+    bare = Contrast(DISTANCE, len(units), len(units), scale=Scale.ABSOLUTE)
     try:
-        return largest_gap(pairs, study.settings.confidence, study.generator(f"{MAGNITUDES} {second.label}"))
+        gap = largest_gap(values, study.settings.confidence, study.generator(f"{MAGNITUDES} {setting.label}"))
     except Undefined as why:
-        return str(why)
+        return Apart(setting, finest, replace(bare, reason=str(why)))
+    return Apart(setting, finest, replace(bare, absolute=gap.size, p_different=gap.p_different), gap.p_floor)
 
 
 def settings_of(groups: Sequence[Catalogues]) -> list[Variant]:

@@ -438,7 +438,7 @@ def test_a_method_that_keeps_the_episodes_may_lose_slip_onsets(planted_episodes,
     )
     assert alike.undecided == ("moreau with step = 0.01",)
     assert "onsets" not in alike.scope
-    (distance, *_) = (level for level in of_kind(asked(data, settings), Level) if level.quantity is episodes.APART)
+    (distance, *_) = (level for level in of_kind(asked(data, settings), Level) if level.quantity.key == "magnitudes")
     assert (distance.comparison.other, distance.comparison.difference) == ("the exact law", None)
     assert sentence(distance).endswith(", compared with the exact law.")
 

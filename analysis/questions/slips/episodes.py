@@ -55,7 +55,6 @@ from stickslip.analysis.models.episodes import (
     STORED,
     Catalogue,
 )
-from stickslip.analysis.models.largest_gap import Difference as LawDifference
 from stickslip.analysis.models.magnitudes import WIDTH, misfit
 from stickslip.analysis.models.magnitudes import Picture as Kind
 from stickslip.analysis.models.recurrence import Bin
@@ -113,7 +112,6 @@ REGULARITY = Quantity("large_cv", "coefficient of variation of times between lar
 SLIP_PREDICTABLE = Quantity("before", "rank correlation of large moments with the time before")
 TIME_PREDICTABLE = Quantity("after", "rank correlation of large moments with the time after")
 B_POSITIVE = Quantity("b_positive", "b-value from rises alone (b-positive)")
-APART = Quantity("apart", "Kolmogorov-Smirnov distance between magnitudes")
 B_VALUE = Quantity("b", "b-value")
 B_WITH_CUT_OFF = replace(B_VALUE, name=f"b-value of a {WITH_CUT_OFF}")
 MOMENT = Quantity("moment", "mean moment", dimension="length")
@@ -177,11 +175,11 @@ _RECURRENCE: Columns[Catalogues] = {
 _METHODS: Columns[Apart] = {
     "setting": (str, lambda apart: apart.setting.label),
     "reference": (str, lambda apart: apart.reference.label),
-    "size": (Estimate, lambda apart: Estimate() if apart.law is None else apart.law.size),
+    "size": (Estimate, lambda apart: apart.contrast.absolute),
     "p_floor": (float, lambda apart: apart.p_floor),
-    "p_different": (float, lambda apart: apart.p),
-    "p_different_holm": (float, lambda apart: apart.family and apart.family.p_different),
-    "reason": (str, lambda apart: apart.found if isinstance(apart.found, str) else ""),
+    "p_different": (float, lambda apart: apart.contrast.p_different),
+    "p_different_holm": (float, lambda apart: apart.contrast.family and apart.contrast.family.p_different),
+    "reason": (str, lambda apart: apart.contrast.reason),
 }
 
 
@@ -295,7 +293,8 @@ def _lack(study: Study, groups: Sequence[Catalogues]) -> Lack:
 def _level(group: Catalogues, name: str, apart: Sequence[Apart], unit: str) -> Level:
     """A statistic of a group, beside that of its reference."""
     estimate = group.estimates[name]
-    reference = next((pair.comparison() for pair in apart if pair.setting is group and pair.name == name), None)
+    beside = next((pair for pair in apart if pair.setting is group and pair.name == name), None)
+    reference = None if beside is None else Comparison(beside.reference.noun, beside.contrast.difference)
     basis = Basis(len(group.sums[name].counted), unit)
     if name == CREEP and max(abs(end or 0.0) for end in (estimate.value, estimate.low, estimate.high)) < ROUNDING:
         estimate = Estimate(high=ROUNDING)
@@ -330,23 +329,22 @@ def _distances(pairs: Sequence[Apart], outcomes: Sequence[Outcomes], unit: str) 
 
 
 def _beside(pair: Apart, unit: str) -> Level | None:
-    """A statistic beside its reference's, or the distance of magnitudes from the reference's."""
-    if pair.name in (RATE, SIZE, DURATION, SLIP):
+    """A statistic beside its reference's, or the distance of magnitudes from the reference's; None if not known."""
+    where, name, contrast = Place.of(pair.setting.method), pair.reference.noun, pair.contrast
+    if pair.name == ONSETS:
+        return contrast.level(where, name, unit)
+    if pair.name != MAGNITUDES:
         return _level(pair.setting, pair.name, [pair], unit)
-    if pair.name == ONSETS and isinstance(pair.found, Contrast):
-        return pair.step.contrast.level(Place.of(pair.setting.method), pair.reference.noun, unit)
-    if isinstance(pair.found, LawDifference):
-        where = Place.of(pair.setting.method)
-        n_both = len(pair.setting.runs.keys() & pair.reference.runs.keys())
-        return Level(APART, pair.found.size, where, Comparison(pair.reference.noun), Basis(n_both, unit))
-    return None
+    if contrast.reason:
+        return None
+    return Level(contrast.statistic.quantity, contrast.absolute, where, Comparison(name), contrast.basis(unit))
 
 
 def _of_onsets(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apart]:
     """How far rates of slip onsets lie apart: a method may keep the episodes, and lose slip onsets in them."""
     contrasts = {(step.setting, step.reference): step.contrast for step in between_engines(study, "rate")}
     return [
-        Apart(setting, reference, ONSETS, contrast, contrast.family)
+        Apart(setting, reference, replace(contrast, statistic=replace(contrast.statistic, name=ONSETS)))
         for reference, *others in by_system
         for setting in others
         if (contrast := contrasts.get((setting.label, reference.label))) is not None
@@ -380,8 +378,8 @@ def _outcomes(
         has_onsets = all(group.group.has_onsets for setting, group in settings.items() if come_out[setting] == name)
         outcome = Outcomes(method, undecided=words, scope=_SCOPE + _AND_ONSETS * has_onsets)
         if name:
-            alike = [pair for pair in apart if id(pair.setting) in by_id and pair.name == name and pair.law is None]
-            sizes = [pair.step.contrast.difference for pair in alike if pair is not apart_most and pair.is_shown]
+            alike = [pair for pair in apart if id(pair.setting) in by_id and pair.name == name != MAGNITUDES]
+            sizes = [pair.contrast.difference for pair in alike if pair is not apart_most and pair.is_shown]
             outcome = Outcomes(method, different=words, others=further, second=sizes[0] if len(sizes) == 1 else None)
         outcomes.append(replace(outcome, largest=level, at_largest=in_short))
     return outcomes
@@ -389,9 +387,7 @@ def _outcomes(
 
 def _size(pair: Apart) -> float:
     """How far a setting lies from its reference."""
-    if isinstance(pair.found, Contrast):
-        return abs(pair.found.difference.estimate.value or 0.0)
-    return 0.0 if pair.law is None else pair.law.size.value or 0.0
+    return abs(pair.contrast.difference.estimate.value or 0.0)
 
 
 def _is_blurred(group: Catalogues) -> bool:
