@@ -274,50 +274,41 @@ def fill(found: Sequence[Group], given: Iterable[tuple[np.ndarray, Motion]]) -> 
     given : iterable of (ndarray, Motion)
         Every member once: rows of the table, by their numbers, and what they give.
     """
-    filling = [_Filling(group) for group in found]
-    number, place = (np.zeros(len(found[0].table), dtype=np.int32) for _ in range(2))
+    number, place, row = (np.zeros(len(found[0].table), dtype=np.int32) for _ in range(3))
     for k, group in enumerate(found):
         number[group.rows], place[group.rows] = k, np.arange(len(group))
+        group.units, row[group.rows] = np.unique(group.column("unit").to_numpy(), return_inverse=True)
+        group.totals = {name: np.zeros(len(group.units)) for name in COLUMNS}
+        group.counts = np.zeros((len(group.units), 0), dtype=np.int64)
+        group.fates, group.last = np.full(len(group), FAILED, dtype=object), np.full((len(group), 2), np.nan)
     for rows, motion in given:
         order = np.argsort(number[rows], kind="stable")  # by group
         rows, by_group = rows[order], motion.in_order(order)
         ends = [*(np.flatnonzero(np.diff(number[rows])) + 1).tolist(), len(rows)]
         for start, end in pairwise([0, *ends]):
-            filling[number[rows[start]]].add(place[rows[start:end]], by_group.part(start, end))
-    while filling:
-        filling.pop(0).finish()
+            members = rows[start:end]
+            _add(found[number[members[0]]], place[members], row[members], by_group.part(start, end))
+    for group in found:
+        _finish(group)
 
 
-class _Filling:
-    """A group whose sums are being filled in, a row a unit of its members."""
+def _add(group: Group, places: np.ndarray, rows: np.ndarray, given: Motion) -> None:
+    """Add what the members at some places give to the sums of their units, by row."""
+    group.fates[places], group.last[places] = given.fates, given.last
+    moves = np.flatnonzero(given.sums[:, COLUMNS["runs"]])
+    for name, k in COLUMNS.items():
+        np.add.at(group.totals[name], rows[moves], given.sums[moves, k])
+    run, size, n_times = given.sizes.T
+    if (n_more := int(size.max(initial=0)) - group.counts.shape[1]) > 0:
+        group.counts = np.pad(group.counts, ((0, 0), (0, n_more)))
+    np.add.at(group.counts, (rows[run], size - 1), n_times)
 
-    def __init__(self, group: Group) -> None:
-        self._group = group
-        self._units, row = np.unique(group.column("unit").to_numpy(), return_inverse=True)
-        self._row = row.astype(np.int32)
-        self._sums = {name: np.zeros(len(self._units)) for name in COLUMNS}
-        self._counts = np.zeros((len(self._units), 0), dtype=np.int64)
-        group.fates, group.last = np.full(len(group), FAILED, dtype=object), np.full((len(group), 2), np.nan)
 
-    def add(self, places: np.ndarray, given: Motion) -> None:
-        """Add what the members at some places give."""
-        self._group.fates[places] = given.fates
-        self._group.last[places] = given.last
-        moves = np.flatnonzero(given.sums[:, COLUMNS["runs"]])
-        rows = self._row[places[moves]]
-        for name, k in COLUMNS.items():
-            np.add.at(self._sums[name], rows, given.sums[moves, k])
-        run, size, n_times = given.sizes.T
-        if (n_more := int(size.max(initial=0)) - self._counts.shape[1]) > 0:
-            self._counts = np.pad(self._counts, ((0, 0), (0, n_more)))
-        np.add.at(self._counts, (self._row[places[run]], size - 1), n_times)
-
-    def finish(self) -> None:
-        """Hand the sums of the units in motion to the group."""
-        group, moves = self._group, self._sums["runs"] > 0
-        group.units, group.counts = self._units[moves], self._counts[moves]
-        del self._counts
-        group.n_short = int(self._sums.pop("short").sum())
-        for name in [*self._sums]:  # each is given up as it is handed over: they take most of the memory
-            group.totals[name] = self._sums.pop(name)[moves]
-        group.n_quiet = int((group.fates == QUIET).sum())
+def _finish(group: Group) -> None:
+    """Leave out units without a run in motion."""
+    moves = group.totals["runs"] > 0
+    group.units, group.counts = group.units[moves], group.counts[moves]
+    group.n_short = int(group.totals.pop("short").sum())
+    for name in group.totals:  # one after the other: they take most of the memory
+        group.totals[name] = group.totals[name][moves]
+    group.n_quiet = int((group.fates == QUIET).sum())
