@@ -16,7 +16,7 @@ Every block slips at both ends of a lull, so its series continue across the cut.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -34,7 +34,6 @@ from stickslip.analysis.findings.finding import (
     Form,
     Lack,
     Level,
-    Parts,
     Quantity,
     Reason,
 )
@@ -43,22 +42,13 @@ from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, noun
 from stickslip.analysis.models import pool
 from stickslip.analysis.models.motion import lulls
-from stickslip.analysis.questions.slips.cascades import effects, sum_of
+from stickslip.analysis.questions.slips.cascades import effects, gamma_shifted, of_pool, over_coin, sum_of
 from stickslip.analysis.series import nulls
-from stickslip.analysis.series.cascades import EVENTS, Window, sums
+from stickslip.analysis.series.cascades import Window, spans
 from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.estimates import (
-    LN2,
-    Estimate,
-    Statistic,
-    Undefined,
-    gamma,
-    over_matrices,
-    ratio,
-    with_ends,
-)
+from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, over_matrices, ratio, with_ends
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, bars, forest, panel
 
 OVER_COIN, VARIANCE, SCALED = r"$\gamma/\ln 2-1$", "$nq(1-q)$", r"$nq(1-q)\,(\gamma/\ln 2-1)$"  # on the axes
@@ -67,10 +57,8 @@ SHIFTS = 30
 WHAT = "the parts of the decay rate"
 RISE = Quantity("rise", "increase of the probability of a slip onset per sticking block", Form.SHARE)
 
-#: Columns of `run_sums`, a numerator and a denominator each: total size and number of cascades of the run, the same
-#: of its blocks shifted in time, integral of n_stick and time, and the sums of the slope.
-OBSERVED, ROTATED, MEAN, SLOPE = (slice(k, k + 2) for k in (0, 2, 4, 6))
-N_COLUMNS = 8
+#: Columns of `run_sums`: those of `cascades.Sums.rows`, and the sums of the slope.
+SLOPE, N_COLUMNS = slice(8, 10), 10
 
 
 @dataclass(frozen=True)
@@ -95,7 +83,7 @@ class Counted:
     @property
     def variance(self) -> float:
         """n q (1 - q), where a share q of the blocks sticks."""
-        mean = float(ratio(self.rows[:, MEAN].sum(axis=0, keepdims=True))[0])
+        mean = float(ratio(self.rows[:, 6:8].sum(axis=0, keepdims=True))[0])
         return mean * (1 - mean / self.n)
 
     @property
@@ -106,7 +94,8 @@ class Counted:
     @property
     def couplings(self) -> list[Estimate]:
         """Of each system whose sizes have decay rates: not all of them are 1, nor of its time-shifted blocks."""
-        is_known = (self.rows[:, [0, 2]] > self.rows[:, [1, 3]]).all(axis=1) & (self.rows[:, [1, 3]] > 0).all(axis=1)
+        n_cascades, size = self.rows[:, [0, 3]], self.rows[:, [1, 4]]
+        is_known = ((size > n_cascades) & (n_cascades > 0)).all(axis=1)
         return [Estimate(float(value)) for value in parts(self.n)["coupling"](self.rows[is_known])]
 
 
@@ -131,7 +120,9 @@ def question(study: Study) -> Answer | None:
     alike = sorted((counts for counts in groups if counts.others == lead.others), key=lambda counts: counts.n)
     leads = [lead, *(counts for counts in reversed(alike) if counts is not lead and counts.is_judged)]
     unit, is_swept = noun(study.unit), len(leads) > 1
-    findings: list[Finding] = [_parts(counts, is_swept, unit) for counts in leads]
+    findings: list[Finding] = [
+        sum_of(counts.estimates, _where(counts, is_swept), Basis(len(counts.rows), unit)) for counts in leads
+    ]
     slope = Comparison("independent two-state blocks", Difference(lead.estimates["rise_over_two_state"]))
     basis = Basis(len(lead.rows), unit)
     findings.append(Level(RISE, lead.estimates["rise"], _where(lead, is_swept), slope, basis))
@@ -160,17 +151,13 @@ def _where(counts: Counted, is_swept: bool) -> Place:
     return Place.key("n", str(counts.n)) if is_swept else EVERYWHERE
 
 
-def _parts(counts: Counted, is_swept: bool, unit: str) -> Parts:
-    return sum_of(counts.estimates, _where(counts, is_swept), Basis(len(counts.rows), unit))
-
-
 def counted(study: Study, group: Group) -> Counted | None:
     """The parts of a group without its lulls; None if it has no events."""
     level = study.settings.confidence
     flat = study.sums(group, partial(_of_run, min(study.settings.resamples, SHIFTS)), N_COLUMNS + 6)
     rows, halves, spans = np.hsplit(flat[:, :-1], (N_COLUMNS, N_COLUMNS + 4))
     in_lulls, total = spans.sum(axis=0)
-    n_cascades = rows[:, OBSERVED][:, 1]
+    n_cascades = rows[:, 0]
     rows, halves = rows[n_cascades > 0], halves[n_cascades > 0]
     if not len(rows):
         return None
@@ -236,31 +223,18 @@ def run_sums(win: Window, steps: BlockSteps, draws: int, rng: np.random.Generato
 
     `steps` are the changes of `win`, block by block, which are shifted `draws` times.
     """
-    span = win.t_stop - win.t_start
-    observed, rotated = sums(win.step)[EVENTS], nulls.moments(steps, draws, rng)[[1, 0]]
-    return np.concatenate([observed, rotated, [win.time_mean() * span, span], slope_sums(win)])
-
-
-def of_pool(n: int, function: Callable[[int, float], float], rows: np.ndarray) -> np.ndarray:
-    """`pool.gamma` or `pool.slope` at the mean n_stick of each row of sums."""
-    means = ratio(rows[:, MEAN])
-    if not all(pool.is_one(n, mean) for mean in means):
-        raise Undefined("no block sticks, or all do: there is no such pool")
-    return np.array([function(n, mean) for mean in means])
+    span, size = win.t_stop - win.t_start, spans(win).size
+    observed, shifted = [len(size), size.sum(), size @ size], nulls.moments(steps, draws, rng)
+    return np.concatenate([observed, shifted, [win.time_mean() * span, span], slope_sums(win)])
 
 
 def parts(n: int) -> dict[str, Statistic]:
     """The excess of gamma over ln 2 and its parts by name, as statistics of rows of `run_sums`."""
-
-    def independent(rows: np.ndarray) -> np.ndarray:
-        return gamma(rows[:, ROTATED])
-
-    of_runs = effects(lambda rows: gamma(rows[:, OBSERVED]), independent, partial(of_pool, n, pool.gamma))
     return {
-        **of_runs,
-        "time_shifted": lambda rows: independent(rows) / LN2 - 1,
+        **effects(n),
+        "time_shifted": partial(over_coin, gamma_shifted),
         "rise": lambda rows: ratio(rows[:, SLOPE]),
-        "rise_over_two_state": lambda rows: ratio(rows[:, SLOPE]) / of_pool(n, pool.slope, rows) - 1,
+        "rise_over_two_state": lambda rows: ratio(rows[:, SLOPE]) / of_pool(n, rows, pool.slope) - 1,
     }
 
 

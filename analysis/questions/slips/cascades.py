@@ -7,7 +7,7 @@ geometric they are (`stats.dispersion`), and the likelihood whether they are nea
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -129,9 +129,9 @@ def gamma_shifted(rows: np.ndarray) -> np.ndarray:
     return gamma(rows[:, 3:6])
 
 
-def over_coin(rows: np.ndarray) -> np.ndarray:
-    """Decay rate relative to ln 2, less 1."""
-    return gamma(rows) / LN2 - 1
+def over_coin(rate: Statistic, rows: np.ndarray) -> np.ndarray:
+    """A decay rate relative to ln 2, less 1."""
+    return rate(rows) / LN2 - 1
 
 
 def over_shifted(rows: np.ndarray) -> np.ndarray:
@@ -139,12 +139,12 @@ def over_shifted(rows: np.ndarray) -> np.ndarray:
     return gamma(rows) / gamma_shifted(rows) - 1
 
 
-def of_pool(n: int, rows: np.ndarray) -> np.ndarray:
-    """Decay rate of n independent two-state blocks of which as many stick; undefined if all or none always stick."""
-    means = ratio(rows[:, 6:])
+def of_pool(n: int, rows: np.ndarray, number: Callable[[int, float], float] = pool.gamma) -> np.ndarray:
+    """A number of n independent two-state blocks of which as many stick; undefined if all or none always stick."""
+    means = ratio(rows[:, 6:8])
     if not all(pool.is_one(n, mean) for mean in means):
         raise Undefined("all blocks always stick, or always slip")
-    return np.array([pool.gamma(n, mean) for mean in means])
+    return np.array([number(n, mean) for mean in means])
 
 
 def variance(rows: np.ndarray) -> np.ndarray:
@@ -315,7 +315,7 @@ def _rates(study: Study, alike: Sequence[Sums], where: Mapping[str, Place]) -> l
 
 def _test(null: str, sums: Sums) -> Compared | None:
     """How far the decay rate lies from that of a null, relative to it; None where there is no such null."""
-    statistics: dict[str, Statistic] = {COIN: over_coin}
+    statistics: dict[str, Statistic] = {COIN: partial(over_coin, gamma)}
     if sums.is_shifted:
         statistics[SHIFTED] = over_shifted
     if sums.pool_mean is not None:
@@ -337,24 +337,18 @@ def _findings(study: Study, sums: Sums, where: Place, rates: Sequence[Level]) ->
     law = Law("cascade sizes", "fall off geometrically", rate, fit, departure, "fall off nearly geometrically",
               called="decay rate")  # fmt: skip
     methods = _beside_others(study, sums)
-    split = [_effects(study, sums, where)] if len(further) == len(EFFECTS) - 1 else []
+    split = []
+    if len(further) == len(EFFECTS) - 1:
+        split.append(
+            sum_of({name: sums.estimate(of, level) for name, of in effects(sums.n).items()}, where, rate.basis)
+        )
     return [law, *split, *methods[:1], *further, departure, *methods[1:]]
 
 
-def _effects(study: Study, sums: Sums, where: Place) -> Parts:
-    """What sets the decay rate apart from ln 2, as `_method` says."""
-    level, basis = study.settings.confidence, Basis(len(sums.rows), noun(study.unit))
-    statistics = effects(gamma, gamma_shifted, partial(of_pool, sums.n))
-    return sum_of({name: sums.estimate(of, level) for name, of in statistics.items()}, where, basis)
-
-
-def effects(runs: Statistic, shifted: Statistic, independent: Statistic) -> dict[str, Statistic]:
-    """`EXCESS` and `EFFECTS` by their keys, from the rates of runs, of shifted and of two-state blocks."""
-
-    def excess_of(rate: Statistic, rows: np.ndarray) -> np.ndarray:
-        return rate(rows) / LN2 - 1
-
-    excess, own, finite_size = (partial(excess_of, rate) for rate in (runs, shifted, independent))
+def effects(n: int) -> dict[str, Statistic]:
+    """`EXCESS` and `EFFECTS` of n blocks by their keys, as `_method` says."""
+    rates = gamma, gamma_shifted, partial(of_pool, n)
+    excess, own, finite_size = (partial(over_coin, rate) for rate in rates)
     return {
         "excess": excess,
         "finite_size": finite_size,
@@ -363,7 +357,7 @@ def effects(runs: Statistic, shifted: Statistic, independent: Statistic) -> dict
     }
 
 
-def sum_of(estimates: Mapping[str, Estimate], where: Place, basis: Basis) -> Parts:
+def sum_of(estimates: Mapping[str, Estimate], where: Place, basis: Basis | None) -> Parts:
     """The excess of the decay rate as the sum of its parts."""
     excess, *parts = (Level(quantity, estimates[quantity.key], where, basis=basis) for quantity in (EXCESS, *EFFECTS))
     return Parts(excess, tuple(parts), "decay rate")
