@@ -82,19 +82,14 @@ def question(study: Study) -> Answer:
         return Answer(findings=[Lack(WHAT, Reason.ONE_VALUE if slow else Reason.NOT_SHOWN)])
     confidence = study.settings.confidence
     changed = changes(lines, noun(study.unit), confidence)
-    changed.sort(key=_rank)
+    is_shown, order = {Verdict.MORE, Verdict.LESS}, [*NUMBERS.values()]
+    changed.sort(key=lambda change: (change.difference.verdict not in is_shown, order.index(change.quantity)))
     shown_lines = [line for line in lines if line.key == lines[0].key]
     gaps = " No point is where a damped oscillator misses the spectrum." * bool(missed)
     caption = f"{_trend(changed, shown_lines[0].key)}. Bars are {100 * confidence:g}% intervals.{gaps}"
     return Answer(
         findings=changed, n_lead=2, figures={"rhythm_period": Picture(partial(periods, shown_lines), caption)}
     )
-
-
-def _rank(change: Change) -> tuple[bool, int]:
-    """Sorts changes: those that are shown come first, then natural periods."""
-    is_shown = change.difference.verdict in (Verdict.MORE, Verdict.LESS)
-    return not is_shown, [*NUMBERS.values()].index(change.quantity)
 
 
 def _trend(changed: Sequence[Change], key: str) -> str:
@@ -137,19 +132,20 @@ def changes(lines: Sequence[Along], unit: str, confidence: float) -> list[Change
     """
     sets = [*by_key(lines, lambda line: (line.key, line.ends)).values()]
     sets.sort(key=len, reverse=True)
-    tested = [(number, of_set, _Averaged.of(number, of_set)) for number in NUMBERS for of_set in sets]
-    adjusted = holm([averaged.compared.p_different for *_, averaged in tested]).tolist()
+    tested = [(number, of_set, *_averaged(number, of_set)) for number in NUMBERS for of_set in sets]
+    rises = [last - first for *_, first, last in tested]
+    tests = [Compared(float(rise[0]), jackknife_error(rise[1:]), len(rise) - 2) for rise in rises]
+    adjusted = holm([test.p_different for test in tests]).tolist()
     changed = []
-    for (number, of_set, averaged), p in zip(tested, adjusted, strict=True):
-        is_share = number is Number.SHARE
-        size = jackknife_estimate(averaged.after - averaged.before, confidence)
+    for (number, of_set, first, last), rise, p in zip(tested, rises, adjusted, strict=True):
+        is_share, size = number is Number.SHARE, jackknife_estimate(rise, confidence)
         scale = Scale.ABSOLUTE if is_share else Scale.RELATIVE
         difference = Difference(
             size if is_share else size.under(np.expm1), scale, family=Family(len(tested), p, alpha=1 - confidence)
         )
         key, (old, new) = of_set[0].key, of_set[0].ends
         keys = (KeyChange(key, shown(old), shown(new), is_negative(old, new)),)
-        before, after = (jackknife_estimate(side, confidence) for side in (averaged.before, averaged.after))
+        before, after = (jackknife_estimate(side, confidence) for side in (first, last))
         if not is_share:
             before, after = before.under(np.exp), after.under(np.exp)
         basis = Basis(min(len(motion.units) for line in of_set for motion in (line.groups[0], line.groups[-1])), unit)
@@ -157,27 +153,15 @@ def changes(lines: Sequence[Along], unit: str, confidence: float) -> list[Change
     return changed
 
 
-class _Averaged(NamedTuple):
+def _averaged(number: Number, lines: Sequence[Along]) -> np.ndarray:
     """A number at both ends of some lines, averaged over these: a share, or the logarithm of another number.
 
-    Each has shape (1 + G,): from all systems, and with each of G left out of all settings at once, as they share
-    draws; along n they do not, which adds no error.
+    Of shape (2, 1 + G): from all systems, and with each of G left out of all settings at once, as they share draws;
+    along n they do not, which adds no error.
     """
-
-    before: np.ndarray
-    after: np.ndarray
-
-    @classmethod
-    def of(cls, number: Number, lines: Sequence[Along]) -> _Averaged:
-        units = sorted({unit for line in lines for k in (0, -1) for unit in line.groups[k].units})
-        logs = np.array([[line.groups[k].logs(number, units) for line in lines] for k in (0, -1)])
-        return cls(*(np.exp(logs) if number is Number.SHARE else logs).mean(axis=1))
-
-    @property
-    def compared(self) -> Compared:
-        """Tests of the last value less the first."""
-        change = self.after - self.before
-        return Compared(float(change[0]), jackknife_error(change[1:]), len(change) - 2)
+    units = sorted({unit for line in lines for k in (0, -1) for unit in line.groups[k].units})
+    logs = np.array([[line.groups[k].logs(number, units) for line in lines] for k in (0, -1)])
+    return np.asarray((np.exp(logs) if number is Number.SHARE else logs).mean(axis=1))
 
 
 def _averaged_over(lines: Sequence[Along]) -> Place:
