@@ -19,8 +19,7 @@ from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS, noun
 from stickslip.analysis.outcomes import forest, outcome, outcomes
 from stickslip.analysis.page import parts
 from stickslip.analysis.page.build import Report
-from stickslip.analysis.page.layout import Page
-from stickslip.analysis.page.layout import Table as PageTable
+from stickslip.analysis.page.layout import Page, Section
 from stickslip.analysis.rows import frame_of
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.steps import Kind, Step, Variant, few, judged_together, table_of
@@ -206,14 +205,8 @@ def _report(first: Ensemble, second: Ensemble, answer: Answer, notes: Sequence[s
         f"{ensemble.name}: " + "".join(f"{name}: {value}. " for name, value in ensemble.provenance.items())
         for ensemble in (first, second)
     ]
-    origin = inside._replace(
-        key="made",
-        title="How was it made?",
-        summary=f"{first.name} and {second.name}.",
-        texts=[answer.method, *origins],
-        panels=(),
-        table=PageTable(),
-    )
+    summary = f"{first.name} and {second.name}."
+    origin = Section("made", "How was it made?", summary, [answer.method, *origins], notes=inside.notes)
     capitals = [*map(capital, notes)]
     page = Page(
         title, answered.title, answered.lead, answered.panels, inside.table, notes=capitals, sections=[origin]

@@ -125,8 +125,12 @@ def answer(study: Study) -> Answer | None:
     first = [*several, *each] if each else several[:1]
     n_first = MOST_LEADING if each else len(first)
     leads = [*first[:n_first], *([] if each else leading)][:MOST_LEADING]
-    behind = _by_setting(grid, [finding for finding in (*leading, *further) if finding not in leads])
-    findings = [*leads, *first[n_first:], *([] if each else several[1:]), *behind, *secondary]
+    behind = [finding for finding in (*leading, *further) if finding not in leads]
+    lifetimes = [finding for finding in behind if isinstance(finding, Lifetime)]
+    order = {str(setting.where): k for k, setting in enumerate(grid.settings)}
+    ways = [finding for finding in behind if not isinstance(finding, Lifetime)]
+    ways.sort(key=lambda finding: order.get(str(finding.where), -1))
+    findings = [*leads, *first[n_first:], *([] if each else several[1:]), *ways, *lifetimes, *secondary]
     shares = [
         portion
         for setting in grid.settings
@@ -165,17 +169,6 @@ def answer(study: Study) -> Answer | None:
 
 
 # ------------------------------------------------------------------------------------------------- findings
-
-
-def _by_setting(grid: Grid, findings: Sequence[Ending]) -> list[Ending]:
-    """What runs do, by setting, and then their lifetimes."""
-    order = {str(setting.where): k for k, setting in enumerate(grid.settings)}
-
-    def rank(finding: Ending) -> tuple[bool, int]:
-        is_lifetime = isinstance(finding, Lifetime)
-        return is_lifetime, 0 if is_lifetime else order.get(str(finding.where), -1)
-
-    return sorted(findings, key=rank)
 
 
 def _findings(study: Study, grid: Grid, ends: Sequence[Ends]) -> tuple[list[Ending], list[Ending], list[Finding]]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -77,11 +77,8 @@ def answer(study: Study) -> Answer | None:
     return Answer(findings, len(lead), method=method, tables={"changes": table_of(steps)}, figures=figures)
 
 
-class _Set(NamedTuple):
-    """The runs of a system that count: its base, with replicates if asked, and changed copies; by their rows."""
-
-    unchanged: list[int]
-    changed: list[int]
+#: The rows of a system's runs that count: its base, with replicates if asked; and its changed copies.
+_Sides: TypeAlias = tuple[list[int], list[int]]
 
 
 @dataclass(frozen=True)
@@ -112,16 +109,15 @@ class _Copies:
         """Whether a change has an interval: enough systems stay in motion with it and without."""
         return any(len(self.complete(change)) >= enough.LEAST_MATRICES for change in self.changes)
 
-    def complete(self, change: Comparison, starts: Sequence[Comparison] = ()) -> list[_Set]:
+    def complete(self, change: Comparison, starts: Sequence[Comparison] = ()) -> list[_Sides]:
         """Those of each system whose runs, also from other starts, are all in motion at t_end."""
-        sets = []
-        for unit, base in self.setting.bases.items():
-            replicates = [row for start in starts for row in start.of(unit)]
-            rows = _Set([base, *replicates], change.of(unit))
-            if all(row in self.sums for row in (*rows.unchanged, *rows.changed)):
-                sets.append(rows)
-        full = [max((len(rows[side]) for rows in sets), default=0) for side in (0, 1)]
-        return [rows for rows in sets if [*map(len, rows)] == full and rows.changed]
+        sets = [
+            ([base, *(row for start in starts for row in start.of(unit))], change.of(unit))
+            for unit, base in self.setting.bases.items()
+        ]
+        moving = [sides for sides in sets if self.sums.keys() >= {*sides[0], *sides[1]}]
+        full = [max((len(sides[k]) for sides in moving), default=0) for k in (0, 1)]
+        return [sides for sides in moving if [*map(len, sides)] == full and sides[1]]
 
     def values(self, quantity: str, rows: Sequence[Sequence[int]]) -> np.ndarray:
         """A quantity of some runs, in the shape of `rows`."""
@@ -225,23 +221,20 @@ def _ends(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[Fi
         return
     confidence = study.settings.confidence
     for comparison in copies.changes:
-        counts: dict[int, list[int]] = {}
-        shifts: dict[int, list[float]] = {}
-        for pair in comparison.pairs:
-            if pair.base in bases and study.motion.fates[pair.changed] != FAILED:
-                base, copy = bases[pair.base], _end(study, pair.changed)
-                is_alike = copy is not None and copy.is_away == base.is_away
-                if copy is not None and is_alike:
-                    shifts.setdefault(pair.matrix, []).append(abs(copy.t - base.t))
-                of_unit = counts.setdefault(pair.matrix, [0, 0])
-                of_unit[0] += not is_alike
-                of_unit[1] += 1
-        place = where + Place.words(str(comparison.change))
-        if counts:
-            share = Estimate(*share_over_matrices([*counts.values()], confidence)[:3])
-            names = "otherwise", "changed copies", "end differently from their original"
-            n_copies = sum(total for _, total in counts.values())
-            yield Share(*names, share, place, basis=Basis(len(counts), unit), n=n_copies)
-        if shifts:
-            units, times = np.repeat([*shifts], [*map(len, shifts.values())]), np.concatenate([*shifts.values()])
-            yield Level(SHIFT, median_of_known(times, confidence, units), place, None, Basis(len(shifts), unit))
+        ends = [
+            (pair.matrix, bases[pair.base], _end(study, pair.changed))
+            for pair in comparison.pairs
+            if pair.base in bases and study.motion.fates[pair.changed] != FAILED
+        ]
+        if not ends:
+            continue
+        units, place = np.array([unit_of for unit_of, *_ in ends]), where + Place.words(str(comparison.change))
+        is_alike = np.array([copy is not None and copy.is_away == base.is_away for _, base, copy in ends])
+        counts = UnitSums.of(units, np.column_stack([~is_alike, np.ones(len(ends))])).rows
+        share = Estimate(*share_over_matrices(counts, confidence)[:3])
+        names = "otherwise", "changed copies", "end differently from their original"
+        yield Share(*names, share, place, basis=Basis(len(counts), unit), n=len(ends))
+        if is_alike.any():
+            times = np.array([np.nan if copy is None else abs(copy.t - base.t) for _, base, copy in ends])
+            shift = median_of_known(times[is_alike], confidence, units[is_alike])
+            yield Level(SHIFT, shift, place, None, Basis(len(np.unique(units[is_alike])), unit))

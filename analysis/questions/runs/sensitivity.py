@@ -74,11 +74,6 @@ class Rate(NamedTuple):
         return Estimate(abs(1 / value), shortest, longest)
 
     @property
-    def precedence(self) -> tuple[bool, bool, float]:
-        """The rate depends on the range that it is taken in: the longest stands for a setting."""
-        return self.is_known, self.e_fold.value is not None, self.law.t_to - self.law.t_from
-
-    @property
     def finding(self) -> Finding:
         where, basis = Place.of(self.setting.label), Basis(self.law.n_used, "pair")
         differences = f"initial differences of {shown(self.size)}"
@@ -162,14 +157,17 @@ def _size(setting: PairSet) -> int:
 
 
 def _rate(study: Study, setting: PairSet) -> Rate | None:
-    """The growth rate of starts displaced by the size that stands for a setting; None if none is small."""
-    small = [
-        comparison
+    """The growth rate of starts displaced by the size that stands for a setting; None if none is small.
+
+    The rate depends on the range that it is taken in: the longest stands for a setting.
+    """
+    rates = [
+        _of_size(study, setting, comparison)
         for comparison in setting.comparisons
         if comparison.change.kind == START and comparison.change.size <= SMALL * CEILING
     ]
-    rates = (_of_size(study, setting, comparison) for comparison in small)
-    return max(rates, key=lambda rate: rate.precedence, default=None)
+    order = [(rate.is_known, rate.e_fold.value is not None, rate.law.t_to - rate.law.t_from) for rate in rates]
+    return rates[order.index(max(order))] if rates else None
 
 
 def _of_size(study: Study, setting: PairSet, comparison: Comparison) -> Rate:
@@ -180,18 +178,15 @@ def _of_size(study: Study, setting: PairSet, comparison: Comparison) -> Rate:
     ]
     pairs = [(pair, separation) for pair, separation in pairs if len(separation[0])]
     distances = [separation for _, separation in pairs]
-    t_from, least = T_FROM * study.settings.time, LEAST * study.settings.time
-    law = Growth(Estimate(), t_from, t_from, 0, 0)
-    if pairs:
-        law = growth(
-            max((t for t, _ in distances), key=len),
-            [distance for _, distance in distances],
-            [pair.matrix for pair, _ in pairs],
-            t_from,
-            least,
-            (_floor(setting.key), CEILING),
-            study.settings.confidence,
-        )
+    law = growth(
+        max((t for t, _ in distances), key=len, default=np.zeros(0)),
+        [distance for _, distance in distances],
+        [pair.matrix for pair, _ in pairs],
+        T_FROM * study.settings.time,
+        LEAST * study.settings.time,
+        (_floor(setting.key), CEILING),
+        study.settings.confidence,
+    )
     return Rate(setting, comparison.change.size, len(comparison.pairs), law, distances)
 
 
