@@ -300,16 +300,12 @@ class Study:
         return {*QUANTITIES} - ({"gamma"} if self.data.episodes is not None else set())
 
     @property
-    def seeks_proofs(self) -> bool:
-        """Whether a proof that no block sticks again was sought in each run whose blocks all slip."""
-        return "t_collapse" in self.data.table.own
-
-    @property
     def proofs(self) -> Proofs:
         """What stands against a proof of runs that slide."""
         if not any(map(may_be_proved, self.data.table.settings)):
             return Proofs.NONE_EXISTS
-        return Proofs.SOUGHT if self.seeks_proofs else Proofs.SOUGHT_WHERE_IT_SAVES_TIME
+        is_sought = "t_collapse" in self.data.table.own  # in each run whose blocks all slip
+        return Proofs.SOUGHT if is_sought else Proofs.SOUGHT_WHERE_IT_SAVES_TIME
 
     @property
     def unit(self) -> str:

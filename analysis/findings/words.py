@@ -376,7 +376,9 @@ def _change(change: Change, is_brief: bool = False) -> Clauses:
         along_with = listed([_goes(other) for other in others])
         return *_change(replace(change, keys=change.keys[:1]), is_brief), f"with it {along_with}"
     name, difference = change.quantity.name, change.difference
-    along = f"as {_along(change)}{change.where.tail}"
+    head, *tails = change.keys
+    goes = listed([_goes(head), *(_goes(key, "") for key in tails)])
+    along = f"as {goes}{change.where.tail}"
     if change.turns:
         return _turning(change, along)
     match difference.side:
@@ -429,13 +431,8 @@ def extrema(turns: Sequence[Turn]) -> str:
     return listed([f"a {turn.course} near {value}" for turn, value in zip(turns, values, strict=True)])
 
 
-def _along(change: Change) -> str:
-    """What goes from where to where; of keys that are swept together, each."""
-    head, *tails = change.keys
-    return listed([_goes(head), *(_goes(key, "") for key in tails)])
-
-
 def _goes(key: KeyChange, verb: str = " goes") -> str:
+    """What goes from where to where."""
     said = key.said
     return f"{said.key}{verb} from {said.first} to {in_unit(said.second, said.unit)}"
 
@@ -506,16 +503,11 @@ def _law(law: Law, is_brief: bool) -> Clauses:
     if law.fit is Fit.CLOSE:
         predicate = law.nearly or f"nearly {predicate}"
     share = None if law.scope is None else law.scope.estimate.value
-    scope = "" if share is None else f"{_rounded(share)} of {law.things}"
+    scope = "" if share is None else f"{number(share, Form.SHARE, int(share < 0.995))} of {law.things}"
     bracket, apart = ("", (f"the law is of {scope}",)) if scope and is_brief else (f" ({scope})" * bool(scope), ())
     parameter = f"{law.called or level.quantity.name} {with_interval(level.estimate, level.quantity.form)}"
     said = f"{subject} {predicate}{bracket}: {parameter}"
     return *_beside(said, level.comparison, level.quantity, is_brief), *apart
-
-
-def _rounded(share: float) -> str:
-    """A share without its interval: "8.3%"."""
-    return number(share, Form.SHARE, int(share < 0.995))
 
 
 def _parts(sum_of: Parts) -> Clauses:

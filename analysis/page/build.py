@@ -150,7 +150,8 @@ def build(
     lacking = [piece for piece in parts if piece.answer.is_lack]
     leading, folded = _in_order(study, [piece for piece in parts if not piece.answer.is_lack])
     failed = [piece for piece in lacking if by_key[piece.key].problem and piece.key in settings.question]
-    lead, panels = _lead(_as_asked(settings.question, [*failed, *leading])), _panels(leading)
+    as_asked = sorted([*failed, *leading], key=lambda piece: (*settings.question, piece.key).index(piece.key))
+    lead, panels = _lead(as_asked), _panels(leading)
     title, about = _title(leading, title, about)
     groups = groups_table(study)
     laws, is_told = engine_laws(study.groups)  # one alone is named in the table of settings
@@ -189,11 +190,6 @@ def _with_problem(question: Answered) -> Answered:
     return replace(
         question, answer=Answer([Lack(f"the answer to {question.key}", Reason.CODE_FAILED, question.problem)])
     )
-
-
-def _as_asked(asked: Sequence[str], parts: Sequence[Part]) -> list[Part]:
-    """Some answers in the order in which the scene asks, before those that it does not name."""
-    return sorted(parts, key=lambda part: asked.index(part.key) if part.key in asked else len(asked))
 
 
 def _notes(asked: Iterable[str], questions: Mapping[str, Answered], lacking: Mapping[str, Part]) -> Iterator[str]:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
-from stickslip.analysis.findings.finding import Comparison, Form, Level, Quantity
+from stickslip.analysis.findings.finding import Comparison, Form, Level
 from stickslip.analysis.findings.numbers import signs, with_interval
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import based_on, difference_in_words, plural
@@ -115,7 +115,7 @@ def findings_table(levels: Sequence[Level], where: str = "", most: int = MOST_RO
     alike = [part for part in places[0] if all(part in parts for parts in places)] if places[1:] else []
     cells = [
         {
-            "what": _what(level.quantity),
+            "what": level.quantity.name + f" ({level.quantity.unit})" * bool(level.quantity.unit),
             "where": setting_in_cell(Place(tuple(part for part in level.where.parts if part not in alike))),
             "estimate": _unbroken(with_interval(level.estimate, level.quantity.form)),
             "compared with": _reference(level.comparison, level.quantity.form)
@@ -134,11 +134,6 @@ def findings_table(levels: Sequence[Level], where: str = "", most: int = MOST_RO
     note = f"{plural(n_more, 'more row')} in {where}." if n_more > 0 and where else ""
     caption = f"All {signs(Place(tuple(alike)).phrase)}." if alike else ""
     return Table(head, [[cell[name] for name in head] for cell in cells], note, caption)
-
-
-def _what(quantity: Quantity) -> str:
-    """The name of a quantity with its unit."""
-    return f"{quantity.name} ({quantity.unit})" if quantity.unit else quantity.name
 
 
 def _reference(comparison: Comparison, form: Form) -> str:
