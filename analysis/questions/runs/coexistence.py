@@ -134,9 +134,14 @@ def attracting(study: Study, grid: Grid) -> tuple[list[Attracting], list[Attract
     several: list[Attracting] = []
     each: list[Attracting] = []
     for line in _lines(study, grid):
-        if all(len({*study.data.table.own["matrix"].iloc[setting.runs.rows]}) == 1 for setting in line.settings):
-            several += line.several()
-            each += line.each() if is_asked(study) else ()
+        if any(len({*study.data.table.own["matrix"].iloc[setting.runs.rows]}) > 1 for setting in line.settings):
+            continue
+        at_settings = line.nouns()
+        several += [line.between(nouns, *ends) for nouns, *ends in _stretches(at_settings) if len(nouns) > 1]
+        in_order = dict.fromkeys(noun for nouns in reversed(at_settings) for noun in reversed(nouns))
+        for noun in in_order if is_asked(study) else ():
+            attracts = _stretches([noun in nouns for nouns in at_settings])
+            each += [line.between((noun,), *ends) for is_there, *ends in attracts if is_there]
     return several, each
 
 
@@ -196,19 +201,8 @@ class _Line(NamedTuple):
         moving = [kind for kind, noun in _NOUNS.items() if noun == _STICK_SLIP]
         return int(np.isin(setting.runs.kinds, moving).sum())
 
-    def several(self) -> Iterator[Attracting]:
-        for nouns, first, last in _stretches(self.nouns()):
-            if len(nouns) > 1:
-                yield self._between(nouns, first, last)
-
-    def each(self) -> Iterator[Attracting]:
-        nouns = self.nouns()
-        for noun in dict.fromkeys(noun for names in reversed(nouns) for noun in reversed(names)):
-            for attracts, first, last in _stretches([noun in names for names in nouns]):
-                if attracts:
-                    yield self._between((noun,), first, last)
-
-    def _between(self, nouns: tuple[str, ...], first: int, last: int) -> Attracting:
+    def between(self, nouns: tuple[str, ...], first: int, last: int) -> Attracting:
+        """What attracts from one setting to another, by their places."""
         settings = self.settings[first : last + 1]
         horizon = self.study.settings.at(settings[0].t_end)
         basis = Basis(sum(len(setting.runs.rows) for setting in settings), "run")
