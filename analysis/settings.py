@@ -78,26 +78,20 @@ class AnalysisSettings:
         object.__setattr__(self, "dt", tuple(float(dt) for dt in self.dt))
         object.__setattr__(self, "map_dt", tuple(float(dt) for dt in self.map_dt) or self.dt)
         object.__setattr__(self, "tau", tuple(float(tau) for tau in self.tau))
-        if not (math.isfinite(self.t_burn) and self.t_burn >= 0):
-            raise ValueError(f"t_burn: expected a finite number >= 0, got {self.t_burn!r}")
-        for name in ("dt", "map_dt", "tau"):
-            values = getattr(self, name)
-            if not values or len(set(values)) < len(values):
-                raise ValueError(f"{name}: expected one or more different numbers, got {values!r}")
-            if not all(math.isfinite(value) and value > 0 for value in values):
-                raise ValueError(f"{name}: expected finite numbers > 0, got {values!r}")
-        if self.smallest < 1:
-            raise ValueError(f"smallest: expected an integer >= 1, got {self.smallest!r}")
-        if self.magnitude_range is not None:
-            least, most = self.magnitude_range
-            if not (math.isfinite(least) and math.isfinite(most) and most - least >= LEAST_RANGE):
-                raise ValueError(
-                    f"magnitude_range: expected two magnitudes, the second by {LEAST_RANGE} or more the larger,"
-                    f" got {self.magnitude_range!r}"
-                )
-        if self.resamples < 2:
-            raise ValueError(f"resamples: expected an integer >= 2, got {self.resamples!r}; 200 is a usual choice")
-        if not 0.5 <= self.confidence <= 0.999999:  # near 1 the quantiles of an interval are infinite
-            raise ValueError(f"confidence: expected a number from 0.5 to 0.999999, got {self.confidence!r}; try 0.95")
-        if self.seed < 0:
-            raise ValueError(f"seed: expected an integer >= 0, got {self.seed!r}")
+        steps = [(name, getattr(self, name)) for name in ("dt", "map_dt", "tau")]
+        least, most = self.magnitude_range or (0.0, LEAST_RANGE)
+        is_wide = math.isfinite(least) and math.isfinite(most) and most - least >= LEAST_RANGE
+        wide = f"two magnitudes, the second by {LEAST_RANGE} or more the larger"
+        for name, is_valid, expected, remedy in (
+            ("t_burn", math.isfinite(self.t_burn) and self.t_burn >= 0, "a finite number >= 0", ""),
+            *((name, len({*dts}) == len(dts) > 0, "one or more different numbers", "") for name, dts in steps),
+            *((name, all(0 < dt < math.inf for dt in dts), "finite numbers > 0", "") for name, dts in steps),
+            ("smallest", self.smallest >= 1, "an integer >= 1", ""),
+            ("magnitude_range", is_wide, wide, ""),
+            ("resamples", self.resamples >= 2, "an integer >= 2", "; 200 is a usual choice"),
+            # near 1 the quantiles of an interval are infinite
+            ("confidence", 0.5 <= self.confidence <= 0.999999, "a number from 0.5 to 0.999999", "; try 0.95"),
+            ("seed", self.seed >= 0, "an integer >= 0", ""),
+        ):
+            if not is_valid:
+                raise ValueError(f"{name}: expected {expected}, got {getattr(self, name)!r}{remedy}")
