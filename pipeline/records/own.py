@@ -274,12 +274,9 @@ def _own(
                 _KINDS[facts["type"]],
                 key,
                 facts["words"],
-                least=facts["least"],
-                most=facts["most"],
-                absent=facts["absent"],
                 title=facts["words"] if len(facts["words"].split()) <= FEW_WORDS else "",
                 until=None if facts["since"] is None else Until(facts["since"]),
-                dimension=facts["dimension"],
+                **{name: facts[name] for name in ("least", "most", "absent", "dimension")},
             )
             for key, facts in columns.items()
         ),

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -36,10 +35,6 @@ class Separation(Record):
     )
     is_of_paths = True
     is_shared = True
-
-    @classmethod
-    def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
-        return None if keys["separation"] is None else cls(keys["separation"])
 
     def applies(self, member: Member) -> bool:
         return member.base is not None
