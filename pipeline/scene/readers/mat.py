@@ -39,7 +39,7 @@ class Mat(Reader):
         """The names of its variables."""
         return [*self._shapes]
 
-    def read(self, name: str, n_most: int | None = None) -> Any:
+    def read(self, name: str) -> Any:
         """A variable, dense or sparse."""
         shape, kind = self._shapes[name]
         if kind in _NO_NUMBERS:
@@ -47,8 +47,6 @@ class Mat(Reader):
         if len(shape) > 2:
             raise ValueError(f"{name}: expected a row or a matrix, got the shape {shape}")
         if kind != "sparse":
-            if n_most is not None and math.prod(shape) > n_most:
-                raise ValueError(f"{name}: expected at most {n_most} numbers, got the shape {shape}")
             fits(name, BYTES_OF_ENTRY * math.prod(shape))
         array = self._load(name)
         if np.iscomplexobj(array):

@@ -16,7 +16,7 @@ _PLACES = {"indices", "indptr", "row", "col", "offsets"}
 #: The formats of sparse matrices that are read: SciPy checks, or `System` does, where their entries stand.
 _FORMATS = (b"csc", b"csr", b"coo", b"dia")
 
-#: Bytes of what is no array of numbers: the head of a file.
+#: Bytes of a single number and the head of its file, at most.
 _HEAD = 1000
 
 #: Bytes that an array may always have, and how many times those that it takes in a compressed file: by more shrinks
@@ -31,7 +31,7 @@ class Npy(Reader):
 
     name, magic = "an .npy", b"\x93NUMPY"
 
-    def read(self, name: str, n_most: int | None = None) -> np.ndarray:
+    def read(self, name: str) -> np.ndarray:
         """The array."""
         fits("stiffness", _COPIES * len(self._content))
         stream = io.BytesIO(self._content)
@@ -70,15 +70,15 @@ class Npz(Reader):
             return [*self._sizes]
         return ["", *(name for name in self._sizes if name not in _SPARSE | _PLACES | {"_is_array"})]
 
-    def read(self, name: str, n_most: int | None = None) -> Any:
+    def read(self, name: str) -> Any:
         """An array, or the sparse matrix."""
         if name:
-            return _numbers(name, self._array(name, n_most))
+            return _numbers(name, self._array(name))
         from scipy import sparse  # takes a tenth of a second to load
 
         fits("stiffness", _COPIES * sum(self._sizes.values()))
-        shape, form = (self._array(key, _HEAD) for key in ("shape", "format"))
-        square(shape.tolist())
+        shape, form = (self._array(key) for key in ("shape", "format"))
+        square(shape.tolist() if shape.size == 2 else [])
         if form.item() not in _FORMATS:
             known = ", ".join(name.decode() for name in _FORMATS)
             raise ValueError(f"format: expected one of {known}, got {form.item()!r}; save K.tocsc()")
@@ -104,9 +104,7 @@ class Npz(Reader):
         texts: list[str] = array.ravel().tolist()
         return texts
 
-    def _array(self, key: str, n_most: int | None = None) -> np.ndarray:
-        if n_most is not None and self._sizes[key] > 16 * n_most + _HEAD:
-            raise ValueError(f"{key}: expected at most {n_most} of them, got {self._sizes[key]} bytes")
+    def _array(self, key: str) -> np.ndarray:
         fits(key, _COPIES * self._sizes[key])
         array = self._arrays[key]
         if not isinstance(array, np.ndarray):

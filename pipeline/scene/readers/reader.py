@@ -40,10 +40,10 @@ class Reader(ABC):
         return ("",)
 
     @abstractmethod
-    def read(self, name: str, n_most: int | None = None) -> Any:
+    def read(self, name: str) -> Any:
         """An array of real numbers, or a sparse matrix, by its name.
 
-        Raises `ValueError` if it holds anything else, or, if that is said, more than `n_most` numbers.
+        Raises `ValueError` if it holds anything else.
         """
 
     def number(self, name: str) -> float | None:
