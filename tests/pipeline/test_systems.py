@@ -264,7 +264,7 @@ def test_holes_are_not_read(tmp_path):
 def test_damping_is_a_number_or_one_for_each_block_or_two_blocks(tmp_path):
     np.savez_compressed(tmp_path / "K.npz", stiffness=np.eye(4), damping=np.zeros(10**7, np.int8))
     (tmp_path / "mine.toml").write_text(SCENE)
-    with pytest.raises(SceneError, match=r"damping: expected a number or an array of shape \(4,\), got shape \(10000000,\)"):
+    with pytest.raises(SceneError, match=r"damping: expected .* shape \(4,\), got shape \(10000000,\)"):
         load_scene(tmp_path / "mine.toml")
 
 
