@@ -56,11 +56,6 @@ class Mat(Reader):
         check_whole(name, array)
         return array.reshape(-1) if 1 in shape else array
 
-    def number(self, name: str) -> float | None:
-        """A single number by its name; None if it is no such thing."""
-        shape, kind = self._shapes[name]
-        return float(self.read(name).item()) if math.prod(shape) == 1 and kind not in _NO_NUMBERS else None
-
     def texts(self, name: str) -> list[str]:
         """The rows of a text, or the texts in cells."""
         if self._shapes[name][1] not in ("char", "cell"):

@@ -16,9 +16,6 @@ _PLACES = {"indices", "indptr", "row", "col", "offsets"}
 #: The formats of sparse matrices that are read: SciPy checks, or `System` does, where their entries stand.
 _FORMATS = (b"csc", b"csr", b"coo", b"dia")
 
-#: Bytes of a single number and the head of its file, at most.
-_HEAD = 1000
-
 #: Bytes that an array may always have, and how many times those that it takes in a compressed file: by more shrinks
 #: only what is nothing but zeros.
 _SMALL, _RATIO = 2**28, 100
@@ -88,13 +85,6 @@ class Npz(Reader):
         matrix = sparse.load_npz(io.BytesIO(self._content))  # that indices are in range is for `System` to see
         _numbers("data", matrix.data)
         return matrix if form.item() in _FORMATS[:2] else matrix.tocsc()
-
-    def number(self, name: str) -> float | None:
-        """A single number by its name; None if there are several."""
-        if self._sizes[name] > _HEAD:
-            return None
-        array = _numbers(name, self._array(name))
-        return float(array.item()) if array.size == 1 else None
 
     def texts(self, name: str) -> list[str]:
         """A list of texts by its name."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, ClassVar
 
 import numpy as np
@@ -48,6 +49,9 @@ class Reader(ABC):
 
     def number(self, name: str) -> float | None:
         """A single number by its name; None if it is no such thing."""
+        with suppress(ValueError):
+            array = self._dense(name)
+            return float(array.item()) if array.size == 1 else None
         return None
 
     def texts(self, name: str) -> list[str]:
