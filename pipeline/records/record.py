@@ -102,7 +102,6 @@ class Facts(NamedTuple):
 
     n: int  #: of the largest system
     t_end: float
-    least_step: float  #: of a series in time
     engines: tuple[type[Engine], ...]
     has_changes: bool  #: whether members are changed copies of others
     axis: Axis | None  #: between whose numbers there may be something to find

@@ -498,7 +498,7 @@ class Scene(StrictTable):
         changed = changed or any(engine.is_drawn for engine in self.engines)
         engines = tuple(engine.engine for engine in self.engines)
         t_end, axis = self.time(self.run.t_end), axis_of_numbers(self.axes)
-        return Facts(max(self.system.n), t_end, t_end / MAX_SAMPLES, engines, changed, axis, self.run.load)
+        return Facts(max(self.system.n), t_end, engines, changed, axis, self.run.load)
 
     def _steps_and_changes_are_resolved(self) -> None:
         """Changes must be more than rounding, and steps of time not so short that their series fill a memory."""
@@ -514,6 +514,7 @@ class Scene(StrictTable):
             ),
             ("analysis.dt", self.analysis.dt, step, steps),
             ("record.dt", self.record.dt and (self.record.dt,), step, steps),
+            ("record.separation", self.record.separation and (self.record.separation,), step, steps),
             ("analysis.map_dt", self.analysis.map_dt, step, steps),
         ):
             if numbers and numbers[0] < resolution:

@@ -304,16 +304,13 @@ _ARRAYS = ("stiffness", *OF_BLOCKS, "z0", "w0")
 
 def _path(given: Any) -> Any:
     """A file, or a table with a file for each array, by its name."""
-    names = given if isinstance(given, dict) else {}
-    strange = next((name for name in names if name not in _ARRAYS), None)
-    if strange is not None:
-        raise ValueError(
-            f"expected files of {', '.join(_ARRAYS)}, got one of {shown(strange)}; write e.g."
-            ' {stiffness = "K.csv", damping = "C.csv"}'
-        )
-    if given is not None and not all(isinstance(file, str) for file in (names.values() if names else [given])):
-        raise ValueError(f'expected the name of a file, got {shown(given)}; write e.g. path = "K.npz"')
-    return given
+    files = given if isinstance(given, dict) else {"stiffness": given}
+    if given is None or all(name in _ARRAYS and isinstance(file, str) for name, file in files.items()):
+        return given
+    raise ValueError(
+        f"expected the name of a file, or files of {', '.join(_ARRAYS)}, got {shown(given)}; write e.g. path ="
+        ' "K.npz", or {stiffness = "K.csv", damping = "C.csv"}'
+    )
 
 
 def _contacts(given: Any) -> Any:
