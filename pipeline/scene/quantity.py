@@ -53,7 +53,7 @@ class Key:
         """A quantity from what the file holds."""
         if not isinstance(value, list | tuple):
             return self._value(value, value)
-        return once([self._value(entry, value) for entry in value], as_toml=as_written)
+        return once([self._value(entry, value) for entry in value])
 
     def _value(self, entry: object, value: object) -> Value:
         if isinstance(entry, Distribution | Course | Measured | Named | Ratio):
