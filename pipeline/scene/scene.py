@@ -50,7 +50,7 @@ from stickslip.pipeline.scene.source import parse_toml, read_source
 from stickslip.pipeline.scene.system_table import OF_FILES, OF_GRAPH, SystemTable, is_function
 from stickslip.pipeline.scene.systems import (
     KEY,
-    OtherFile,
+    FilePart,
     SystemFile,
     SystemFunction,
     is_path,
@@ -550,17 +550,13 @@ class Scene(StrictTable):
         system = self.system
         if not system.is_of_files:
             return [(n, self._function) for n in system.n]
-        files, is_graph = system.known_files, system.coupling == OF_GRAPH
-        paths = located(
-            {*files, *(file for facts in files.values() for file, _ in facts.others.values())}, self._folder
-        )
+        is_graph, n_copies = system.coupling == OF_GRAPH, Counter[str]()
         sources: list[tuple[int, SystemFile | SystemFunction | None]] = []
-        n_copies = Counter[str]()
-        for name, facts in sorted(files.items(), key=lambda file: (file[1].n, file[0])):
-            others = tuple(OtherFile(array, paths[file], word) for array, (file, word) in facts.others.items())
+        for name, facts in sorted(system.known_files.items(), key=lambda file: (file[1].n, file[0])):
+            files = {"stiffness": (name, facts.variable), **facts.others}
+            parts = tuple(FilePart(array, located(file, self._folder), word) for array, (file, word) in files.items())
             sha256, copy = facts.sha256, n_copies[facts.sha256]
-            file = SystemFile(name, sha256, facts.version, is_graph, copy, facts, paths[name], others)
-            sources.append((facts.n, file))
+            sources.append((facts.n, SystemFile(name, sha256, facts.version, is_graph, copy, facts, parts)))
             n_copies[sha256] += 1
         return sources
 
@@ -669,7 +665,7 @@ class Scene(StrictTable):
             return Pushes(tuple(replace(push, course=self.placed(push.course)) for push in value.parts))
         if not isinstance(value, Measured):
             return value
-        return replace(value, at=located([value.table], self._folder)[value.table])
+        return replace(value, at=located(value.table, self._folder))
 
     @property
     def hash(self) -> str:
