@@ -6,6 +6,7 @@ All quantities are dimensionless.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import math
 import sys
@@ -44,7 +45,7 @@ from stickslip.pipeline.records.record import Facts, Record, WindowRecord
 from stickslip.pipeline.scene.columns import OF_GRAPHS, OF_SETTINGS, PARTS, Recording, misnamed
 from stickslip.pipeline.scene.ends import Ends, look_at_dataset, place_beside
 from stickslip.pipeline.scene.engine_table import Engines, EngineTable
-from stickslip.pipeline.scene.grid import axes, points
+from stickslip.pipeline.scene.grid import axes
 from stickslip.pipeline.scene.meaning import meaning
 from stickslip.pipeline.scene.source import parse_toml, read_source
 from stickslip.pipeline.scene.system_table import OF_FILES, OF_GRAPH, SystemTable, is_function
@@ -461,7 +462,9 @@ class Scene(StrictTable):
         single: dict[str, Any] = {
             name: quantity for name, quantity in all_keys.items() if not isinstance(quantity, tuple)
         }
-        for swept in points(self.axes):
+        keys = [key for axis in self.axes for key in axis.keys]
+        for rows in itertools.product(*(axis.rows for axis in self.axes)):
+            swept = dict(zip(keys, itertools.chain.from_iterable(rows), strict=True))
             yield swept, single | swept
 
     def start_draws(self, values_here: Mapping[str, Value | None]) -> Sequence[int | None]:
