@@ -45,14 +45,11 @@ def told_of(file: str) -> Iterator[None]:
     try:
         yield
     except (OSError, pa.ArrowException, ValueError) as error:  # ValueError: a name or a statistic is no UTF-8, too
-        words = printable(str(error)) if isinstance(error, UnsoundError) else f"cannot be read ({_short(error)})"
+        is_ours = isinstance(error, UnsoundError)
+        words = printable(str(error)) if is_ours else f"cannot be read ({shortened(str(error), 200)})"
         raise StoreError(
             f"{file}: {words}; this program did not write it so: remove it, and rerun the scene to rebuild it"
         ) from error
-
-
-def _short(error: Exception) -> str:
-    return shortened(str(error), 200)
 
 
 def check_file(content: bytes, schema: pa.Schema, n_rows: int) -> None:

@@ -225,11 +225,8 @@ class Member:
         The matrix is the same under every engine, stiffness and perturbation. A perturbation's direction is the
         same for every size: draw 2 at size 0.05 goes five times as far as draw 2 at size 0.01, the same way.
         """
-        reading, size, draw, _ = self.change
-        if reading is None and self.units is None:
-            return _latest(_measured_system, self, (self.source, self.terms))
-        values = self.source, self.terms, reading, size, draw, self.units
-        return _latest(_own_system if reading is None else _moved_system, self, values)
+        values = self.source, self.terms, self.change._replace(twin_size=None), self.units
+        return _latest(_moved_system, self, values)
 
     def towards(self, neighbour: Neighbour) -> Callable[[float], sim.System]:
         """Its system at 0, and at 1 that of a neighbour, of the same draws; numbers between go along a line."""
@@ -378,9 +375,19 @@ def _latest(make: Callable[[Member], sim.System], member: Member, values: tuple[
     return latest[1]
 
 
-def _own_system(member: Member) -> sim.System:
-    """The system of a member's matrix, not moved."""
-    system = _latest(_measured_system, member, (member.source, member.terms))
+def _moved_system(member: Member) -> sim.System:
+    """A member's system, moved if it is a perturbed one, and dimensionless."""
+    system, change = _latest(_measured_system, member, (member.source, member.terms)), member.change
+    if change.reading is not None:
+        system = sim.perturb_system(
+            system,
+            member.source.coupling,
+            change.size,
+            member._seed(PERTURBATION, change.draw),
+            reading=change.reading,
+            **member.scales,
+            rho=member.term("rho") or 0.0,  # not used without: see Scene._consistent
+        )
     return system if member.units is None else member.units.dimensionless(system)
 
 
@@ -398,12 +405,9 @@ def _measured_system(member: Member) -> sim.System:
 
 def _driven(member: Member, system: sim.System) -> sim.System:
     """The system in the frame of the member's drive, whose spring has the damping of a stiffness, b of Rayleigh's."""
-    block, numbers = (
-        member.term("drive_block"),
-        {name: member._by_block(member.term(f"drive_{name}"), 0) for name in _OF_DRIVE},
-    )
+    numbers = {name: member._by_block(member.term(f"drive_{name}"), 0) for name in _OF_DRIVE}
     damping = (member.term("rayleigh_stiffness") or 0.0) * numbers["spring"]
-    driven = system.driven(block, damping=damping, **numbers)
+    driven = system.driven(member.term("drive_block"), damping=damping, **numbers)
     return driven if member.term("back_slip") is None else driven.changed(back_slip=False)
 
 
@@ -516,18 +520,3 @@ def _force(member: Member, push: Push, *number: int) -> sim.Harmonic | sim.Piece
     )
     amplitude, frequency, phase = numbers
     return sim.Harmonic(amplitude * acts, frequency, phase)
-
-
-def _moved_system(member: Member) -> sim.System:
-    change, rho = member.change, member.term("rho")
-    assert change.reading is not None
-    moved = sim.perturb_system(
-        _latest(_measured_system, member, (member.source, member.terms)),
-        member.source.coupling,
-        change.size,
-        member._seed(PERTURBATION, change.draw),
-        reading=change.reading,
-        **member.scales,
-        rho=0.0 if rho is None else rho,  # not used then: see Scene._consistent
-    )
-    return moved if member.units is None else member.units.dimensionless(moved)

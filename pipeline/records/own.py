@@ -93,7 +93,7 @@ class OwnRecord(WindowRecord):
         if not keys[cls.name]:
             return None
         tables, folder = keys["functions"], str(keys["folder"].resolve())
-        functions = tuple(_own(name, folder, **tables[name]) for name in keys[cls.name])
+        functions = tuple(_own(name, folder, tables[name]) for name in keys[cls.name])
         return cls(
             keys["t_burn"], functions, keys["dt"] if any(measure.is_sampled for measure in functions) else None
         )
@@ -258,34 +258,22 @@ def _float(number: numbers.Real) -> float:
 # ---------------------------------------------------------------------------------------------- what it declares
 
 
-def _own(
-    name: str,
-    folder: str,
-    sha256: str,
-    is_sampled: bool,
-    columns: Mapping[str, Mapping[str, Any]],
-    beside: Mapping[str, str],
-) -> Own:
+def _own(name: str, folder: str, facts: Mapping[str, Any]) -> Own:
     """A function from what a scene keeps of it."""
-    return Own(
-        OwnFunction(KEY, name, sha256, folder, tuple(sorted(beside.items()))),
-        tuple(
-            Column(
-                _KINDS[facts["type"]],
-                key,
-                facts["words"],
-                least=facts["least"],
-                most=facts["most"],
-                absent=facts["absent"],
-                title=facts["words"] if len(facts["words"].split()) <= FEW_WORDS else "",
-                until=None if facts["since"] is None else Until(facts["since"]),
-                dimension=facts["dimension"],
-            )
-            for key, facts in columns.items()
-        ),
-        tuple(key for key, facts in columns.items() if facts["is_optional"]),
-        is_sampled,
+    columns = tuple(
+        Column(
+            _KINDS[column["type"]],
+            key,
+            column["words"],
+            title=column["words"] if len(column["words"].split()) <= FEW_WORDS else "",
+            until=None if column["since"] is None else Until(column["since"]),
+            **{name: column[name] for name in ("least", "most", "absent", "dimension")},
+        )
+        for key, column in facts["columns"].items()
     )
+    optional = tuple(key for key, column in facts["columns"].items() if column["is_optional"])
+    function = OwnFunction(KEY, name, facts["sha256"], folder, tuple(sorted(facts["beside"].items())))
+    return Own(function, columns, optional, facts["is_sampled"])
 
 
 def named_functions(value: object) -> list[str]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
@@ -102,7 +102,6 @@ class Facts(NamedTuple):
 
     n: int  #: of the largest system
     t_end: float
-    least_step: float  #: of a series in time
     engines: tuple[type[Engine], ...]
     has_changes: bool  #: whether members are changed copies of others
     axis: Axis | None  #: between whose numbers there may be something to find
@@ -153,8 +152,12 @@ class Record(ABC):
 
     @classmethod
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
-        """The record, if a scene asks for it by [record] or by the settings of an engine; else None."""
-        return cls() if keys[cls.name] else None
+        """The record, if a scene asks for it by [record] or by the settings of an engine; else None.
+
+        Its fields are keys by their names; one that is no key has the value of the record's own.
+        """
+        value = keys[cls.name]
+        return cls(**{field.name: keys.get(field.name, value) for field in fields(cls)}) if value else None
 
     @property
     def kept(self) -> tuple[Column, ...]:
@@ -215,15 +218,12 @@ class WindowRecord(Record):
 
     @classmethod
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
-        return cls(keys["t_burn"], blocks=cls.chosen(keys)) if keys[cls.name] else None
-
-    @classmethod
-    def chosen(cls, keys: Mapping[str, Any]) -> tuple[tuple[str, int], ...]:
-        """The blocks that the key names, if it does; `names` are those of all blocks."""
         named, names = keys[cls.name], keys["names"]
-        if not isinstance(named, tuple):
-            return ()
-        return tuple((name, numbered(f"record.{cls.name}", name, names, len(names))) for name in named)
+        blocks = tuple(
+            (name, numbered(f"record.{cls.name}", name, names, len(names)))
+            for name in (named if isinstance(named, tuple) else ())
+        )
+        return super().asked({**keys, "blocks": blocks}, settings)
 
     @property
     def kept(self) -> tuple[Column, ...]:
@@ -249,10 +249,6 @@ class StateRecord(WindowRecord):
     @property
     def is_sampled(self) -> bool:
         return True
-
-    @classmethod
-    def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
-        return cls(keys["t_burn"], keys["dt"], blocks=cls.chosen(keys)) if keys[cls.name] else None
 
     def times(self, member: Member) -> Floats:
         return steps(self.t_burn, member.t_end, self.dt)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records.record import Facts, Made, Member, Sharing, WindowRecord
@@ -56,10 +56,6 @@ class Refine(WindowRecord):
     is_of_paths = True
     is_of_exact = True
     needs = frozenset({"events", "end", "system"})
-
-    @classmethod
-    def asked(cls, keys: Any, settings: Any) -> Self | None:
-        return None if keys[cls.name] is None else cls(keys["t_burn"], keys[cls.name])
 
     def problem(self, facts: Facts) -> str:
         if facts.axis is None:

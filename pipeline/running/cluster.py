@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, wait
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import dask
 import distributed
@@ -227,8 +227,8 @@ def _look_at(client: Client) -> None:
                 f"expected workers with this version of the program ({program()}), got {address} with {version!r}; "
                 "install the same there, then try again"
             )
-    setups: dict[str, _Setup] = client.run(_setup, on_error="ignore") or {}
-    unset = [address for address, setup in setups.items() if not setup.threads & {"1"}]
+    setups: dict[str, tuple[bool, str]] = client.run(_setup, on_error="ignore") or {}
+    unset = [address for address, (is_set, _) in setups.items() if not is_set]
     if unset:
         log.warning(
             "expected workers whose libraries have one thread each, got %d that do not say so, %s first: last digits "
@@ -236,13 +236,12 @@ def _look_at(client: Client) -> None:
             len(unset),
             unset[0],
         )
-    open_to_others = [(address, setup.shared) for address, setup in setups.items() if setup.shared]
+    open_to_others = [(shared, address) for address, (_, shared) in setups.items() if shared]
     if open_to_others:
         log.warning(
             "expected workers in a directory in which nobody else may write, as they run what lies there, got %s of "
             "%s; start them with DASK_TEMPORARY_DIRECTORY=$(mktemp -d) in their environment",
-            open_to_others[0][1],
-            open_to_others[0][0],
+            *open_to_others[0],
         )
 
 
@@ -250,20 +249,13 @@ def _look_at(client: Client) -> None:
 _PROGRAM = "__import__('importlib').import_module('stickslip.pipeline.dataset.program').program()"
 
 
-class _Setup(NamedTuple):
-    """How a worker was set up: numbers of threads of its libraries, and its directory if others may write there."""
-
-    threads: set[str]
-    shared: str
-
-
-def _setup(dask_worker: Worker) -> _Setup:
-    threads = {value for name in ONE_THREAD if (value := os.environ.get(name)) is not None}
+def _setup(dask_worker: Worker) -> tuple[bool, str]:
+    """Whether the libraries of a worker are told to have one thread; and its directory if others may write there."""
     directory = Path(dask_worker.local_directory)
     is_shared = any(
         not is_ours(facts) or others_write(facts) for facts in (directory.stat(), directory.parent.stat())
     )
-    return _Setup(threads, str(directory.parent) if is_shared else "")
+    return any(os.environ.get(name) == "1" for name in ONE_THREAD), str(directory.parent) if is_shared else ""
 
 
 def _wait_for(starting: Future[SpecCluster], loop: LoopRunner, workers: int, errors: ErrorStream) -> SpecCluster:

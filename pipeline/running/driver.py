@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import current_process
-from typing import NamedTuple
 
 import numpy as np
 from distributed import Client, fire_and_forget
@@ -134,7 +133,7 @@ def run_ensemble(
         runs = [batch.members if rows is None else rows.left(batch) for batch in store.todo]
         firsts = [member for members in runs for member in members.firsts()]
         _look_at_origins(firsts, scene.own_functions if firsts else ())
-        fill = _Filling(store, firsts, Workers(workers, scheduler, dashboard), on_progress, start)
+        fill = _Filling(store, firsts, workers, scheduler, dashboard, on_progress, start)
         fill(lambda batch: (batch, None if rows is None else rows.of(batch)))
     return status(store.opened)
 
@@ -169,19 +168,6 @@ def _check(scene: Scene, workers: int, scheduler: Scheduling, yes: bool) -> None
         check_memory(scene, workers)
 
 
-class Workers(NamedTuple):
-    """Where to compute; see `run_ensemble`."""
-
-    n: int
-    scheduler: Scheduling
-    has_dashboard: bool
-
-    @property
-    def is_here(self) -> bool:
-        """Whether it is in this process."""
-        return self.n == 0 and self.scheduler is None
-
-
 class _Filling:
     """Computes what a dataset is to have, and commits it as it comes in.
 
@@ -189,7 +175,7 @@ class _Filling:
     ----------
     firsts : sequence of Member
         Those that are run: the first of each pair of an origin of systems and an engine.
-    on_progress : callable, optional
+    workers, scheduler, dashboard, on_progress
         As of `run_ensemble`.
     start : float
         When this began, by `time.monotonic`.
@@ -199,19 +185,23 @@ class _Filling:
         self,
         store: Store,
         firsts: Sequence[Member],
-        workers: Workers,
+        workers: int,
+        scheduler: Scheduling,
+        dashboard: bool,
         on_progress: Callable[[Progress], None] | None,
         start: float,
     ) -> None:
-        self._store, self._workers, self._on_progress, self._start = store, workers, on_progress, start
+        self._store, self._on_progress, self._start = store, on_progress, start
+        self._workers, self._scheduler, self._has_dashboard = workers, scheduler, dashboard
+        self._is_here = workers == 0 and scheduler is None
         self._costs = {batch.name: batch.cost for batch in store.todo}
         shards = {name: shard for name, shard in store.done.items() if name not in self._costs}
         self._tally = Tally.of(store.tasks, shards)
         self._by_engine = {member.engine: member for member in reversed(firsts)}
-        self._cold = cold_engines(self._by_engine) if workers.scheduler is None else ()
+        self._cold = cold_engines(self._by_engine) if scheduler is None else ()
         self._dashboard: str | None = None
         self._pace: Pace | None = None
-        self._n_workers = int(workers.is_here)
+        self._n_workers = int(self._is_here)
         self._most_workers = self._n_shards_before = 0
         self._is_waiting = bool(store.todo)
 
@@ -224,7 +214,7 @@ class _Filling:
         self._store.note(f"began {time.time():.3f}")
         if not self._store.todo:
             return
-        compute_order = (lambda order: compute(*order)) if self._workers.is_here else compute_there
+        compute_order = (lambda order: compute(*order)) if self._is_here else compute_there
         # closed at once if a commit fails or the user interrupts, and the workers with it
         with (
             self._executor() as executor,
@@ -235,13 +225,12 @@ class _Filling:
 
     @contextlib.contextmanager
     def _executor(self) -> Iterator[Executor]:
-        n_workers, scheduler, has_dashboard = self._workers
-        if self._workers.is_here:
+        if self._is_here:
             yield Here()
             return
         # at an address it may be asked for none here
-        n_workers = max(1, min(n_workers, max(len(self._costs), len(self._cold))))
-        with connect(n_workers, scheduler, has_dashboard) as client:
+        n_workers = max(1, min(self._workers, max(len(self._costs), len(self._cold))))
+        with connect(n_workers, self._scheduler, self._has_dashboard) as client:
             # side by side: one batch alone would compile them one after the other
             for engine in self._cold:
                 fire_and_forget(client.submit(load_kernels, [self._by_engine[engine]], pure=False))
@@ -250,10 +239,10 @@ class _Filling:
             if self._dashboard is not None:
                 self._store.note(f"dashboard {self._dashboard}")
             # in processes of their own most of those pass whose workers died
-            yield Dask(client, scheduler, _AGAIN, compute_alone, on_workers=partial(self._staffed, client))
+            yield Dask(client, self._scheduler, _AGAIN, compute_alone, on_workers=partial(self._staffed, client))
 
     def _staffed(self, client: Client, count: int) -> None:
-        if count and not self._n_workers and self._workers.scheduler is not None and self._is_waiting:
+        if count and not self._n_workers and self._scheduler is not None and self._is_waiting:
             self._cold = _cold_there(client, tuple(self._by_engine)) or self._cold
         self._n_workers = count
         if self._is_waiting or not count:

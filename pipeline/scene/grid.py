@@ -1,12 +1,12 @@
-"""The grid of a sweep: its axes, from the keys that hold lists, and its points."""
+"""The grid of a sweep: its axes, from the keys that hold lists."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from stickslip.pipeline.design.design import Axis
-from stickslip.pipeline.design.values import Quantity, Value, order
+from stickslip.pipeline.design.values import Quantity, order
 from stickslip.pipeline.scene.toml import once
 from stickslip.sim.numerics.arguments import did_you_mean
 
@@ -37,13 +37,3 @@ def axes(quantities: Mapping[str, Quantity | None], together: Sequence[Sequence[
             raise ValueError(f"expected lists of one length to go together, got {lengths_of} values; make them equal")
         grid.append(Axis(keys, tuple(sorted(zip(*(lists[name] for name in keys), strict=True), key=order))))
     return tuple(grid)
-
-
-def points(grid: Sequence[Axis]) -> Iterator[dict[str, Value]]:
-    """Each point of a grid: the value that each of the swept keys has there."""
-    for rows in itertools.product(*(axis.rows for axis in grid)):
-        yield {
-            key: value
-            for axis, row in zip(grid, rows, strict=True)
-            for key, value in zip(axis.keys, row, strict=True)
-        }

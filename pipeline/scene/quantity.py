@@ -53,7 +53,7 @@ class Key:
         """A quantity from what the file holds."""
         if not isinstance(value, list | tuple):
             return self._value(value, value)
-        return once([self._value(entry, value) for entry in value], as_toml=as_written)
+        return once([self._value(entry, value) for entry in value])
 
     def _value(self, entry: object, value: object) -> Value:
         if isinstance(entry, Distribution | Course | Measured | Named | Ratio):
@@ -141,26 +141,22 @@ class Key:
     ) -> JsonSchemaValue:
         bound = "exclusiveMinimum" if self.above else "minimum"
         number: dict[str, Any] = {"type": "number"} | ({} if self.least is None else {bound: self.least})
-        tables = [
-            {"type": "object", "properties": {name: PAIR}, "required": [name], "additionalProperties": False}
-            for name in self.names
-        ]
+        tables = [_table(**{name: PAIR}) for name in self.names]
         if self.ratio_of:
-            factor = {"anyOf": [{"type": "number", "minimum": 1}, *tables]}
-            tables.append(
-                {
-                    "type": "object",
-                    "properties": {"ratio": factor},
-                    "required": ["ratio"],
-                    "additionalProperties": False,
-                }
-            )
-        items = {"anyOf": [number, *tables]} if tables else number
+            tables.append(_table(ratio={"anyOf": [{"type": "number", "minimum": 1}, *tables]}))
         words = [{"const": word.word} for word in self.words]
-        row = {"type": "array", "items": {"type": "number"}, "minItems": 1}
-        course = {"type": "object", "properties": {"times": row, "values": row}, "required": ["times", "values"]}
-        timed = [course | {"additionalProperties": False}] if self.in_time else []
-        return {"anyOf": [number, {"type": "array", "items": items, "minItems": 1}, *tables, *timed, *words]}
+        timed = [_table(times=_list({"type": "number"}), values=_list({"type": "number"}))] if self.in_time else []
+        return {"anyOf": [number, _list({"anyOf": [number, *tables]}), *tables, *timed, *words]}
+
+
+def _list(items: dict[str, Any]) -> dict[str, Any]:
+    """The schema of a list."""
+    return {"type": "array", "items": items, "minItems": 1}
+
+
+def _table(**properties: Any) -> dict[str, Any]:
+    """The schema of a table that has these keys, and no others."""
+    return {"type": "object", "properties": properties, "required": [*properties], "additionalProperties": False}
 
 
 def course(table: dict[str, Any]) -> Course | Measured:

@@ -6,6 +6,7 @@ All quantities are dimensionless.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import math
 import sys
@@ -44,13 +45,13 @@ from stickslip.pipeline.records.record import Facts, Record, WindowRecord
 from stickslip.pipeline.scene.columns import OF_GRAPHS, OF_SETTINGS, PARTS, Recording, misnamed
 from stickslip.pipeline.scene.ends import Ends, look_at_dataset, place_beside
 from stickslip.pipeline.scene.engine_table import Engines, EngineTable
-from stickslip.pipeline.scene.grid import axes, points
+from stickslip.pipeline.scene.grid import axes
 from stickslip.pipeline.scene.meaning import meaning
 from stickslip.pipeline.scene.source import parse_toml, read_source
 from stickslip.pipeline.scene.system_table import OF_FILES, OF_GRAPH, SystemTable, is_function
 from stickslip.pipeline.scene.systems import (
     KEY,
-    OtherFile,
+    FilePart,
     SystemFile,
     SystemFunction,
     is_path,
@@ -461,7 +462,9 @@ class Scene(StrictTable):
         single: dict[str, Any] = {
             name: quantity for name, quantity in all_keys.items() if not isinstance(quantity, tuple)
         }
-        for swept in points(self.axes):
+        keys = [key for axis in self.axes for key in axis.keys]
+        for rows in itertools.product(*(axis.rows for axis in self.axes)):
+            swept = dict(zip(keys, itertools.chain.from_iterable(rows), strict=True))
             yield swept, single | swept
 
     def start_draws(self, values_here: Mapping[str, Value | None]) -> Sequence[int | None]:
@@ -498,7 +501,7 @@ class Scene(StrictTable):
         changed = changed or any(engine.is_drawn for engine in self.engines)
         engines = tuple(engine.engine for engine in self.engines)
         t_end, axis = self.time(self.run.t_end), axis_of_numbers(self.axes)
-        return Facts(max(self.system.n), t_end, t_end / MAX_SAMPLES, engines, changed, axis, self.run.load)
+        return Facts(max(self.system.n), t_end, engines, changed, axis, self.run.load)
 
     def _steps_and_changes_are_resolved(self) -> None:
         """Changes must be more than rounding, and steps of time not so short that their series fill a memory."""
@@ -514,6 +517,7 @@ class Scene(StrictTable):
             ),
             ("analysis.dt", self.analysis.dt, step, steps),
             ("record.dt", self.record.dt and (self.record.dt,), step, steps),
+            ("record.separation", self.record.separation and (self.record.separation,), step, steps),
             ("analysis.map_dt", self.analysis.map_dt, step, steps),
         ):
             if numbers and numbers[0] < resolution:
@@ -549,17 +553,13 @@ class Scene(StrictTable):
         system = self.system
         if not system.is_of_files:
             return [(n, self._function) for n in system.n]
-        files, is_graph = system.known_files, system.coupling == OF_GRAPH
-        paths = located(
-            {*files, *(file for facts in files.values() for file, _ in facts.others.values())}, self._folder
-        )
+        is_graph, n_copies = system.coupling == OF_GRAPH, Counter[str]()
         sources: list[tuple[int, SystemFile | SystemFunction | None]] = []
-        n_copies = Counter[str]()
-        for name, facts in sorted(files.items(), key=lambda file: (file[1].n, file[0])):
-            others = tuple(OtherFile(array, paths[file], word) for array, (file, word) in facts.others.items())
+        for name, facts in sorted(system.known_files.items(), key=lambda file: (file[1].n, file[0])):
+            files = {"stiffness": (name, facts.variable), **facts.others}
+            parts = tuple(FilePart(array, located(file, self._folder), word) for array, (file, word) in files.items())
             sha256, copy = facts.sha256, n_copies[facts.sha256]
-            file = SystemFile(name, sha256, facts.version, is_graph, copy, facts, paths[name], others)
-            sources.append((facts.n, file))
+            sources.append((facts.n, SystemFile(name, sha256, facts.version, is_graph, copy, facts, parts)))
             n_copies[sha256] += 1
         return sources
 
@@ -668,7 +668,7 @@ class Scene(StrictTable):
             return Pushes(tuple(replace(push, course=self.placed(push.course)) for push in value.parts))
         if not isinstance(value, Measured):
             return value
-        return replace(value, at=located([value.table], self._folder)[value.table])
+        return replace(value, at=located(value.table, self._folder))
 
     @property
     def hash(self) -> str:

@@ -68,15 +68,8 @@ def _arrays(kind: type[Reader], content: bytes, allowed: Sequence[str], matrix: 
             f' {there}; save these alone, or say which by a name after a colon, as in {matrix} = "file:K"'
         )
     values: dict[str, Any] = {matrix: _shaped(matrix, reader.read(called[matrix]))}
-    n = max(values[matrix].shape, default=1)
-    arrays = (
-        {
-            name: _shaped(name, reader.read(called[name], n * n if name in ("damping", "mass") else n))
-            for name in sorted(others - {*strange})
-        }
-        if allowed
-        else {}
-    )
+    beside = sorted(others - {*strange}) if allowed else ()
+    arrays = {name: _shaped(name, reader.read(called[name])) for name in beside}
     return arrays | texts | values | ({"parameters": parameters} if parameters else {})
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Collection
 from itertools import product
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -109,9 +110,13 @@ class FileTable(StrictTable):
     others: dict[str, Annotated[tuple[str, str], List]] = Field(default_factory=dict)  # by array: file and variable
 
 
-def _with_terms(table: str, behind: type[StrictTable] = StrictTable) -> Any:
+def _with_terms(table: str, behind: type[StrictTable] = StrictTable, required: Collection[str] = ()) -> Any:
     """A table with a key for each term of a table in [system], behind the keys that it has."""
-    keys: dict[str, Any] = {term.key: (_kind(term), Field(**term.field)) for term in TERMS if term.table == table}
+    keys: dict[str, Any] = {
+        term.key: (_kind(term), Field(**term.field | ({"default": ...} if term.key in required else {})))
+        for term in TERMS
+        if term.table == table
+    }
     return create_model(f"_{table}", __base__=behind, **keys)
 
 
@@ -241,24 +246,12 @@ class WeakeningTable(_with_terms("weakening", _Law)):  # type: ignore[misc]
             )
         if self.law is not None and by_table:
             raise ValueError(f"law: expected either a law or a table, got `law` and `{by_table[0]}`; remove one")
-        return self
-
-    @model_validator(mode="after")
-    def _its_own_number(self) -> Self:
-        if self.law is None:
-            for key in (key for law in LAWS.values() for key in law.parameters()):
-                if getattr(self, key) is not None:
-                    raise ValueError(f"{key}: expected none beside a table, got one; remove it")
-            return self
-        parameters = LAWS[self.law].parameters()
-        for other in LAWS.values():
-            for key in other.parameters().keys() - parameters.keys():
-                if (got := getattr(self, key)) is not None:
-                    needed = " and ".join(f"`{name}`" for name in parameters)
-                    raise ValueError(
-                        f'{key}: expected none with law = "{self.law}", which takes {needed}, got {got}; remove it,'
-                        f' or write law = "{other.name}"'
-                    )
+        parameters = {} if self.law is None else LAWS[self.law].parameters()
+        for key, name in ((key, law.name) for law in LAWS.values() for key in law.parameters()):
+            if key not in parameters and (got := getattr(self, key)) is not None:
+                needed = " and ".join(f"`{needed}`" for needed in parameters)
+                beside = f'with law = "{self.law}", which takes {needed}' if self.law else "beside a table"
+                raise ValueError(f'{key}: expected none {beside}, got {got}; remove it, or write law = "{name}"')
         for key, parameter in parameters.items():
             if getattr(self, key) is None:
                 example = f"`{key} = {parameter['example']}`"
@@ -288,15 +281,8 @@ class _Driven(StrictTable):
     )
 
 
-class DriveTable(_with_terms("drive", _Driven)):  # type: ignore[misc]
+class DriveTable(_with_terms("drive", _Driven, ("spring", "speed"))):  # type: ignore[misc]
     """[system.drive]: a drive that draws a block along through a spring; see `stickslip.sim.systems.driven`."""
-
-    @model_validator(mode="after")
-    def _has_its_numbers(self) -> Self:
-        for key in ("spring", "speed"):
-            if getattr(self, key) is None:
-                raise ValueError(f"{key}: expected that of the drive, found nothing; write e.g. {key} = 2.0")
-        return self
 
 
 #: The keys that may hold lists and distributions, by their names in a grid, in ids and columns: the table in [system]
@@ -318,16 +304,13 @@ _ARRAYS = ("stiffness", *OF_BLOCKS, "z0", "w0")
 
 def _path(given: Any) -> Any:
     """A file, or a table with a file for each array, by its name."""
-    names = given if isinstance(given, dict) else {}
-    strange = next((name for name in names if name not in _ARRAYS), None)
-    if strange is not None:
-        raise ValueError(
-            f"expected files of {', '.join(_ARRAYS)}, got one of {shown(strange)}; write e.g."
-            ' {stiffness = "K.csv", damping = "C.csv"}'
-        )
-    if given is not None and not all(isinstance(file, str) for file in (names.values() if names else [given])):
-        raise ValueError(f'expected the name of a file, got {shown(given)}; write e.g. path = "K.npz"')
-    return given
+    files = given if isinstance(given, dict) else {"stiffness": given}
+    if given is None or all(name in _ARRAYS and isinstance(file, str) for name, file in files.items()):
+        return given
+    raise ValueError(
+        f"expected the name of a file, or files of {', '.join(_ARRAYS)}, got {shown(given)}; write e.g. path ="
+        ' "K.npz", or {stiffness = "K.csv", damping = "C.csv"}'
+    )
 
 
 def _contacts(given: Any) -> Any:

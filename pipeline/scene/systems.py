@@ -9,7 +9,7 @@ import inspect
 import os
 import pickle
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from itertools import islice
@@ -42,7 +42,8 @@ from stickslip.sim.systems.terms import OF_BLOCKS
 BY_BLOCK = (*OF_BLOCKS, "z0", "w0")
 
 #: What may come from a file each.
-_PARTS = {"stiffness", *BY_BLOCK}
+_MATRIX = "stiffness"
+_PARTS = {_MATRIX, *BY_BLOCK}
 
 #: Entries of directories at most that are looked at for a pattern.
 _MAX_ENTRIES = 100_000
@@ -53,8 +54,8 @@ _PATH, _TABLE, KEY = "system.path", "system.weakening.table", "system.coupling"
 _MOST_OF_TABLE = 100_000
 
 
-class OtherFile(NamedTuple):
-    """A file of one more array of a system: the name of the array, where the file lies, and what that calls it."""
+class FilePart(NamedTuple):
+    """A file of an array of a system: the name of the array, where the file lies, and what that calls it."""
 
     array: str
     at: str
@@ -63,7 +64,7 @@ class OtherFile(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SystemFile:
-    """A file that a system is read from: its name beside the scene, the sha256 of its bytes, and where it lies."""
+    """A file that a system is read from: its name beside the scene, and the sha256 of its bytes."""
 
     name: str
     sha256: str
@@ -71,8 +72,9 @@ class SystemFile:
     is_graph: bool  #: whether it holds a graph, and no K
     copy: int  #: how many files before it are equal to it: realisations that came out the same
     facts: FileTable = field(compare=False)  #: what it held when the scene was read
-    at: str = field(compare=False)
-    others: tuple[OtherFile, ...] = field(compare=False)  #: of which `sha256` is, too
+    parts: tuple[FilePart, ...] = field(
+        compare=False
+    )  #: the file itself, and those of more arrays: `sha256` is of all
 
     @property
     def word(self) -> str:
@@ -123,15 +125,11 @@ class SystemFunction(OwnFunction):
         return draw
 
 
-def located(names: Iterable[str], folder: Path) -> dict[str, str]:
-    """The paths of files that a scene names: beside it, or above, as its copy in a dataset may lie deeper."""
-    places = (folder, *folder.resolve().parents)
-    paths_by_name = {}
-    for name in names:
-        paths = [os.path.join(place, name) for place in places]
-        # absolute: a worker may have been started in another directory; `resolve` raises where links are a circle
-        paths_by_name[name] = os.path.realpath(next(filter(os.path.isfile, paths), paths[0]))
-    return paths_by_name
+def located(name: str, folder: Path) -> str:
+    """The path of a file that a scene names: beside it, or above, as its copy in a dataset may lie deeper."""
+    paths = [os.path.join(place, name) for place in (folder, *folder.resolve().parents)]
+    # absolute: a worker may have been started in another directory; `resolve` raises where links are a circle
+    return os.path.realpath(next(filter(os.path.isfile, paths), paths[0]))
 
 
 def read(file: SystemFile) -> Mapping[str, Any]:
@@ -139,20 +137,19 @@ def read(file: SystemFile) -> Mapping[str, Any]:
 
     Raises `SceneError` if it is gone, or not what it was.
     """
-    return _read(file.at, file.sha256, file.is_graph, file.facts.variable, file.others)
+    return _read(file.parts, file.sha256, file.is_graph)
 
 
 @lru_cache(maxsize=2)
-def _read(at: str, sha256: str, is_graph: bool, variable: str, others: tuple[OtherFile, ...]) -> Mapping[str, Any]:
-    system = _Content(at, content_of(Path(at), _PATH), variable)
-    rest = {other.array: _Content(other.at, content_of(Path(other.at), _PATH), other.variable) for other in others}
-    actual = _digest(system, rest)
+def _read(parts: tuple[FilePart, ...], sha256: str, is_graph: bool) -> Mapping[str, Any]:
+    contents = {array: _Content(at, content_of(Path(at), _PATH), variable) for array, at, variable in parts}
+    actual = _digest(contents)
     if actual != sha256:
         raise SceneError(
-            f"system.path: expected {at} as it was when the scene was read (sha256 {sha256[:12]}), got another "
-            f"(sha256 {actual[:12]}); restore the file, or run the scene with it into another directory"
+            f"system.path: expected {parts[0].at} as it was when the scene was read (sha256 {sha256[:12]}), got"
+            f" another (sha256 {actual[:12]}); restore the file, or run the scene with it into another directory"
         )
-    *_, (_, arrays) = _read_in_turn(system, rest, is_graph)
+    *_, (_, arrays) = _read_in_turn(contents, is_graph)
     return arrays
 
 
@@ -164,31 +161,31 @@ class _Content(NamedTuple):
     variable: str
 
 
-def _digest(system: _Content, others: Mapping[str, _Content]) -> str:
+def _digest(contents: Mapping[str, _Content]) -> str:
     """The sha256 of a file; or of several, with what they call the arrays."""
-    if not system.variable and not others:
-        return digest(system.bytes)
-    contents = {"stiffness": system, **others}
+    if len(contents) == 1 and not contents[_MATRIX].variable:
+        return digest(contents[_MATRIX].bytes)
     words = [f"{array} {content.variable} {digest(content.bytes)}" for array, content in sorted(contents.items())]
     return digest("\n".join(words).encode())
 
 
-def _read_in_turn(
-    system: _Content, others: Mapping[str, _Content], is_graph: bool
-) -> Iterator[tuple[str, dict[str, Any]]]:
+def _read_in_turn(contents: Mapping[str, _Content], is_graph: bool) -> Iterator[tuple[str, dict[str, Any]]]:
     """The name of each file, and what it and those before it hold."""
-    with _naming(_PATH, system.name, "a graph" if is_graph else "K"):
-        if is_graph:
-            arrays = graph_of(system.bytes, BY_BLOCK)
-        else:
-            arrays = arrays_of(system.bytes, BY_BLOCK, variable=system.variable)
-    yield system.name, arrays
-    for array, content in others.items():
+    arrays: dict[str, Any] = {}
+    for array, (name, content, variable) in contents.items():
         if array in arrays:
-            raise SceneError(f"system.path: expected `{array}` in one file, got it in {system.name} too; remove one")
-        with _naming(f"{_PATH}.{array}", content.name, array):
-            arrays |= arrays_of(content.bytes, (), array, content.variable)
-        yield content.name, arrays
+            first = contents[_MATRIX].name
+            raise SceneError(f"system.path: expected `{array}` in one file, got it in {first} too; remove one")
+        if is_graph:
+            with _naming(_PATH, name, "a graph"):
+                arrays = graph_of(content, BY_BLOCK)
+        elif array == _MATRIX:
+            with _naming(_PATH, name, "K"):
+                arrays = arrays_of(content, BY_BLOCK, variable=variable)
+        else:
+            with _naming(f"{_PATH}.{array}", name, array):
+                arrays |= arrays_of(content, (), array, variable)
+        yield name, arrays
 
 
 def look_at_series(key: str, table: Mapping[str, Any], folder: Path, t_end: object) -> dict[str, Any]:
@@ -284,9 +281,9 @@ def _line(error: Exception) -> str:
     return why if len(why) < 300 else f"{why[:297]}..."  # it may show an array
 
 
-def _checked(system: _Content, others: Mapping[str, _Content], is_graph: bool) -> dict[str, Any]:
+def _checked(contents: Mapping[str, _Content], is_graph: bool) -> dict[str, Any]:
     """What a scene says of a file that was read, and of more with it, as plain values."""
-    for file, arrays in _read_in_turn(system, others, is_graph):  # what does not fit is of the last one
+    for file, arrays in _read_in_turn(contents, is_graph):  # what does not fit is of the last one
         make = partial(System.from_graph, arrays["edges"]) if is_graph else partial(System, arrays["stiffness"])
         try:
             checked = make(**{"damping": 0.0} | {k: arrays[k] for k in OF_BLOCKS if k in arrays})
@@ -296,7 +293,7 @@ def _checked(system: _Content, others: Mapping[str, _Content], is_graph: bool) -
         except (TypeError, ValueError, MemoryError) as error:
             raise SceneError(f"system.path: {file}: {_line(error)}") from None
     return {
-        "sha256": _digest(system, others),
+        "sha256": _digest(contents),
         "n": checked.n,
         "scale": float(abs(checked.stiffness).max()),
         "entries": checked.stiffness.size,
@@ -305,7 +302,7 @@ def _checked(system: _Content, others: Mapping[str, _Content], is_graph: bool) -
         "version": 3 if REALISATION in arrays.get("parameters", {}) else 2,
         **({"parameters": arrays["parameters"]} if "parameters" in arrays else {}),
         **({NAMES: [*names]} if names else {}),
-        **({"variable": system.variable} if system.variable else {}),
+        **({"variable": variable} if (variable := contents[_MATRIX].variable) else {}),
     }
 
 
@@ -354,15 +351,15 @@ def look_at_files(
         others[array] = _Content(name, content_of(folder / name, f"{_PATH}.{array}"), of_other)
     facts = {}
     for name, file in zip(names, files, strict=True):
-        system = _Content(str(file), content_of(file, _PATH), variable)
-        facts[name] = _checked(system, others, is_graph) | ({"others": keys} if keys else {})
+        contents = {_MATRIX: _Content(str(file), content_of(file, _PATH), variable), **others}
+        facts[name] = _checked(contents, is_graph) | ({"others": keys} if keys else {})
         if not (is_graph or "damping" in facts[name]["arrays"] or {"damping", "rho", "rayleigh"} & {*table}):
             raise SceneError(
                 f"system.damping: expected that of the blocks whose K is in {name}, found none there; add `damping ="
                 ' 0.0`, or `rayleigh = [a, b]`, its file, as path = {stiffness = "K.csv", damping = "C.csv"}, or'
                 " `rho = 3.5`, which draws it"
             )
-        for content in () if is_graph else (system, *others.values()):
+        for content in () if is_graph else contents.values():
             _check_headings(content, table[NAMES] if isinstance(table.get(NAMES), list) else ())
     return facts
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import contextlib
 import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -318,15 +318,12 @@ class PublishedTable(_Declared):
 QuestionName = Annotated[str, Field(pattern=rf"^[a-z]\w*$|{PATTERN}")]
 
 
-def _magnitudes(value: object) -> tuple[float, float] | None:
+def _magnitudes(value: Any, parse: Callable[[Any], tuple[float, float]]) -> tuple[float, float]:
     """A range of magnitudes that is wide enough."""
-    match value:
-        case None:
-            return None
-        case [int() | float() as least, int() | float() as most] if (
-            bool not in map(type, (least, most)) and -math.inf < least and least + LEAST_RANGE <= most < math.inf
-        ):
-            return float(least), float(most)
+    with contextlib.suppress(ValueError):  # one message says what may stand here
+        least, most = parse(as_tuple(value))
+        if least + LEAST_RANGE <= most:
+            return least, most
     raise ValueError(
         f"expected two magnitudes, the second by {LEAST_RANGE} or more the larger, got {shown(value)}; write e.g."
         " [-1.0, 0.5]"
@@ -343,7 +340,7 @@ class AnalysisTable(StrictTable):
         default=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0), description="gaps of pairs of exits", examples=[[0.05]]
     )
     smallest: Count = Field(default=1, description="smallest cascade that the law is fitted to")
-    magnitude_range: Annotated[tuple[float, float] | None, BeforeValidator(_magnitudes), WithJsonSchema(PAIR)] = (
+    magnitude_range: Annotated[tuple[float, float], WrapValidator(_magnitudes), WithJsonSchema(PAIR)] | None = (
         optional("range of magnitudes that b is of; found in the data if left out", [-1.0, 0.5])
     )
     resamples: int = Field(default=200, ge=2, description="most surrogates of a member for what chance gives")

@@ -6,7 +6,7 @@ import contextlib
 import json
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, TypeVar, get_args
 
 import numpy as np
@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import ErrorDetails, core_schema
 
+from stickslip.pipeline.design.values import as_written
 from stickslip.pipeline.errors import SceneError, shortened
 from stickslip.sim.numerics.arguments import did_you_mean
 
@@ -44,17 +45,15 @@ def as_tuple(value: object) -> object:
     return value if isinstance(value, tuple) else (value,)
 
 
-def once(
-    values: Sequence[Any], n_least: int = 1, as_toml: Callable[[Any], Any] = lambda value: value
-) -> tuple[Any, ...]:
-    """The values of a key, not too many and none of them twice; `as_toml` gives one as a file has it."""
+def once(values: Sequence[Any], n_least: int = 1) -> tuple[Any, ...]:
+    """The values of a key, not too many and none of them twice."""
     if not n_least <= len(values) <= MAX_VALUES:
         between = f"{n_least} to" if n_least else "at most"
         raise ValueError(f"expected {between} {MAX_VALUES} values, got {len(values)}; write some, or fewer")
     twice = [value for k, value in enumerate(values) if value in values[:k]]
     if twice:
         raise ValueError(
-            f"expected each value once, got {_value(as_toml(twice[0]))} more than once; remove the duplicates"
+            f"expected each value once, got {_value(as_written(twice[0]))} more than once; remove the duplicates"
         )
     return tuple(values)
 

@@ -99,7 +99,7 @@ def test_a_sweep_of_the_drive_and_the_members_that_it_makes():
     ({"block": 4}, {}, "drive.block: expected an integer from 0 to 3, got 4"),
     ({"block": ["table"]}, {}, "block"),
     ({"spring": 0.0}, {}, "expected a finite number > 0"),
-    ({"spring": None}, {}, "spring: expected that of the drive"),
+    ({"spring": None}, {}, "spring: expected the stiffness of the spring between the drive"),
     ({"speed": {"times": [0.0, 1.0], "values": [0.0]}}, {}, "drive.speed: expected times that increase"),
     ({"speed": {"table": "speed.csv"}}, {}, "drive.speed: speed.csv cannot be read"),
     ({"speed": [{"times": [0.0], "values": [0.0]}]}, {}, "drive.speed: expected no course in a list"),

@@ -95,7 +95,7 @@ def test_another_file_is_another_scene_and_is_not_run_for_the_old(file, scene):
     ('{table = "speed.csv"}', "{table = 3}", r"drive\.speed: expected the name of a file of two columns"),
     ('{table = "log.csv"', '{times = [0.0], table = "log.csv"', r"system\.force: expected amplitude and"),
     ("friction = 0.5", 'friction = {table = "speed.csv"}', r"system\.friction: expected"),
-    ("damping = ", "C = ", r"system\.path: expected files of stiffness, .* got one of 'C'"),
+    ("damping = ", "C = ", r"system\.path: expected the name of a file, or files of stiffness, .*'C'"),
     ('damping = "model.mat:Cd", ', "", r"system\.damping: expected that .* K is in K\.csv, found none there; add"),
     ("t_end = 8.0", "t_end = 8.5", r"force: log\.csv: expected values from 0 to t_end = 8\.5, .* 0 to 8; take"),
 ])  # fmt: skip

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records.record import Facts, Made, Member, Memory, Record, Sharing, steps
-from stickslip.sim.numerics.arguments import Floats, apart
+from stickslip.sim.numerics.arguments import Floats
 
 
 @dataclass(frozen=True)
@@ -37,24 +36,16 @@ class Separation(Record):
     is_of_paths = True
     is_shared = True
 
-    @classmethod
-    def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
-        return None if keys["separation"] is None else cls(keys["separation"])
-
     def applies(self, member: Member) -> bool:
         return member.base is not None
 
     def problem(self, facts: Facts) -> str:
-        if not facts.has_changes:
-            return (
-                "expected a scene with changed runs, got none; add [perturbation] or [twins], or a sigmoid with ratio"
-                ' = "uniform"'
-            )
-        if self.step < facts.least_step:
-            least = f"run.t_end / {round(facts.t_end / facts.least_step)}"
-            bound, step = apart(facts.least_step, self.step, digits=2)
-            return f"expected at least {bound}, {least}, got {step}; enlarge it"
-        return ""
+        if facts.has_changes:
+            return ""
+        return (
+            "expected a scene with changed runs, got none; add [perturbation] or [twins], or a sigmoid with ratio ="
+            ' "uniform"'
+        )
 
     def memory(self, facts: Facts) -> Memory:
         # z and w of a run and of the one that it is compared with

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import partial
-from typing import Any, Self
+from typing import Any
 
 from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records.record import Made, Record
@@ -17,9 +16,9 @@ _numbers = partial(_of_each, "numbers", repeats=False)
 
 @dataclass(frozen=True)
 class EpisodesRecord(Record):
-    """The episodes of a run: see `stickslip.sim.episodes`; `is_loaded` under adiabatic loading."""
+    """The episodes of a run: see `stickslip.sim.episodes`; `load` is how the belt loads, if it does not move."""
 
-    is_loaded: bool = False
+    load: str | None = None
 
     name = "episodes"
     words = "whether to keep the episodes: from all blocks stuck to all stuck again"
@@ -52,17 +51,9 @@ class EpisodesRecord(Record):
     needs_stills = True
     takes_load = True
 
-    @classmethod
-    def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
-        return cls(keys["load"] is not None) if keys[cls.name] else None
-
     @property
     def kept(self) -> tuple[Column, ...]:
-        return (
-            self.columns
-            if self.is_loaded
-            else tuple(column for column in self.columns if column.name != "episode_elapsed")
-        )
+        return tuple(column for column in self.columns if self.load or column.name != "episode_elapsed")
 
     def of(self, result: Made) -> dict[str, Any]:
         series = episodes(result.run, result.system.belt_speed)

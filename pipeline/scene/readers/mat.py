@@ -39,7 +39,7 @@ class Mat(Reader):
         """The names of its variables."""
         return [*self._shapes]
 
-    def read(self, name: str, n_most: int | None = None) -> Any:
+    def read(self, name: str) -> Any:
         """A variable, dense or sparse."""
         shape, kind = self._shapes[name]
         if kind in _NO_NUMBERS:
@@ -47,8 +47,6 @@ class Mat(Reader):
         if len(shape) > 2:
             raise ValueError(f"{name}: expected a row or a matrix, got the shape {shape}")
         if kind != "sparse":
-            if n_most is not None and math.prod(shape) > n_most:
-                raise ValueError(f"{name}: expected at most {n_most} numbers, got the shape {shape}")
             fits(name, BYTES_OF_ENTRY * math.prod(shape))
         array = self._load(name)
         if np.iscomplexobj(array):
@@ -57,11 +55,6 @@ class Mat(Reader):
             return array.tocsc()
         check_whole(name, array)
         return array.reshape(-1) if 1 in shape else array
-
-    def number(self, name: str) -> float | None:
-        """A single number by its name; None if it is no such thing."""
-        shape, kind = self._shapes[name]
-        return float(self.read(name).item()) if math.prod(shape) == 1 and kind not in _NO_NUMBERS else None
 
     def texts(self, name: str) -> list[str]:
         """The rows of a text, or the texts in cells."""

@@ -28,7 +28,7 @@ class MatrixMarket(Reader):
 
     name, magic = "Matrix Market", b"%%MatrixMarket"
 
-    def read(self, name: str, n_most: int | None = None) -> Any:
+    def read(self, name: str) -> Any:
         """The matrix, dense or sparse, as it is written."""
         content = self._content
         lines = io.BytesIO(content)

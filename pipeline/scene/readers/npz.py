@@ -16,9 +16,6 @@ _PLACES = {"indices", "indptr", "row", "col", "offsets"}
 #: The formats of sparse matrices that are read: SciPy checks, or `System` does, where their entries stand.
 _FORMATS = (b"csc", b"csr", b"coo", b"dia")
 
-#: Bytes of what is no array of numbers: the head of a file.
-_HEAD = 1000
-
 #: Bytes that an array may always have, and how many times those that it takes in a compressed file: by more shrinks
 #: only what is nothing but zeros.
 _SMALL, _RATIO = 2**28, 100
@@ -31,7 +28,7 @@ class Npy(Reader):
 
     name, magic = "an .npy", b"\x93NUMPY"
 
-    def read(self, name: str, n_most: int | None = None) -> np.ndarray:
+    def read(self, name: str) -> np.ndarray:
         """The array."""
         fits("stiffness", _COPIES * len(self._content))
         stream = io.BytesIO(self._content)
@@ -70,15 +67,15 @@ class Npz(Reader):
             return [*self._sizes]
         return ["", *(name for name in self._sizes if name not in _SPARSE | _PLACES | {"_is_array"})]
 
-    def read(self, name: str, n_most: int | None = None) -> Any:
+    def read(self, name: str) -> Any:
         """An array, or the sparse matrix."""
         if name:
-            return _numbers(name, self._array(name, n_most))
+            return _numbers(name, self._array(name))
         from scipy import sparse  # takes a tenth of a second to load
 
         fits("stiffness", _COPIES * sum(self._sizes.values()))
-        shape, form = (self._array(key, _HEAD) for key in ("shape", "format"))
-        square(shape.tolist())
+        shape, form = (self._array(key) for key in ("shape", "format"))
+        square(shape.tolist() if shape.size == 2 else [])
         if form.item() not in _FORMATS:
             known = ", ".join(name.decode() for name in _FORMATS)
             raise ValueError(f"format: expected one of {known}, got {form.item()!r}; save K.tocsc()")
@@ -89,13 +86,6 @@ class Npz(Reader):
         _numbers("data", matrix.data)
         return matrix if form.item() in _FORMATS[:2] else matrix.tocsc()
 
-    def number(self, name: str) -> float | None:
-        """A single number by its name; None if there are several."""
-        if self._sizes[name] > _HEAD:
-            return None
-        array = _numbers(name, self._array(name))
-        return float(array.item()) if array.size == 1 else None
-
     def texts(self, name: str) -> list[str]:
         """A list of texts by its name."""
         array = self._array(name)
@@ -104,9 +94,7 @@ class Npz(Reader):
         texts: list[str] = array.ravel().tolist()
         return texts
 
-    def _array(self, key: str, n_most: int | None = None) -> np.ndarray:
-        if n_most is not None and self._sizes[key] > 16 * n_most + _HEAD:
-            raise ValueError(f"{key}: expected at most {n_most} of them, got {self._sizes[key]} bytes")
+    def _array(self, key: str) -> np.ndarray:
         fits(key, _COPIES * self._sizes[key])
         array = self._arrays[key]
         if not isinstance(array, np.ndarray):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, ClassVar
 
 import numpy as np
@@ -40,14 +41,17 @@ class Reader(ABC):
         return ("",)
 
     @abstractmethod
-    def read(self, name: str, n_most: int | None = None) -> Any:
+    def read(self, name: str) -> Any:
         """An array of real numbers, or a sparse matrix, by its name.
 
-        Raises `ValueError` if it holds anything else, or, if that is said, more than `n_most` numbers.
+        Raises `ValueError` if it holds anything else.
         """
 
     def number(self, name: str) -> float | None:
         """A single number by its name; None if it is no such thing."""
+        with suppress(ValueError):
+            array = self._dense(name)
+            return float(array.item()) if array.size == 1 else None
         return None
 
     def texts(self, name: str) -> list[str]:

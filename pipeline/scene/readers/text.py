@@ -46,7 +46,7 @@ class Text(Reader):
         self._heads = [self._cells(line) for _, line in lines[:first]]
         self._lines = lines[first:]
 
-    def read(self, name: str = "", n_most: int | None = None) -> np.ndarray:
+    def read(self, name: str = "") -> np.ndarray:
         """All numbers; of a square matrix with labels, those beside these. A row or a column has shape (n,)."""
         self._check_heads()
         cells = self._cells(self._lines[0][1])
