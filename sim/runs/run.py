@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -172,12 +171,10 @@ class Run:
     by_threshold: Mapping[float, EventSeries] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        # the product of two finite states may overflow, so it does not say that they are
-        if not math.isfinite(self.z.dot(self.w)) and self.outcome != "diverged":
-            beyond = ~(np.isfinite(self.z) & np.isfinite(self.w))
-            if beyond.any():
-                where = f"block {int(beyond.argmax())} has no finite state at t = {self.t_end:g}"
-                raise IntegrationError(f"{where}; take a smaller step or tolerance, or another engine")
+        finite = np.isfinite(self.z) & np.isfinite(self.w)
+        if self.outcome != "diverged" and not finite.all():
+            where = f"block {int(finite.argmin())} has no finite state at t = {self.t_end:g}"
+            raise IntegrationError(f"{where}; take a smaller step or tolerance, or another engine")
 
     def n_stick(self, times: ArrayLike) -> NDArray[np.int32]:
         """Number of sticking blocks at given times; see `EventSeries.n_stick`."""

@@ -177,7 +177,13 @@ def draw(seed: int, number: int, terms: Collection[str] = TERMS) -> Trial:
 
 def by_waves() -> AbstractContextManager[object]:
     """While it lasts, waveform relaxation takes systems of any size at any tolerance; by default only large ones."""
-    sizes = {"SIZE_OF_WAVES": 1, "SHORT": 0.0, "MANY_ENTRIES": 0, "TOL_OF_JUMPS": 0.0, "MOST_MEMORY": np.inf}
+    sizes = {
+        "SIZE_OF_WAVES": 1,
+        "SHORT": 0.0,
+        "MANY_ENTRIES": 0,
+        "OF_JUMPS": (0.0, 0.0, 1e-10),
+        "MOST_MEMORY": np.inf,
+    }
     return patch.multiple(coulomb, **sizes)
 
 

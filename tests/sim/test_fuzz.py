@@ -66,7 +66,7 @@ def shifted(run: Run) -> Run:
 
 @pytest.mark.parametrize(("trial", "change", "words"), [
     (EXACT, lambda run: replace(run, z=run.z + 1e-6), "error"),
-    (EXACT, lambda run: replace(run, w=run.w * np.nan), "error inf"),
+    (EXACT, lambda run: replace(run, w=run.w * np.nan), "no finite state"),
     (EXACT, lambda run: replace(run, samples=samples(run, 1 + 1e-5)), "error"),
     (EXACT, without_one, "series of block"),
     (EXACT, with_a_graze, "two events at one time"),

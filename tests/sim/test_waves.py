@@ -30,7 +30,12 @@ def however_short(monkeypatch):
 
 @pytest.fixture
 def by_waves(monkeypatch):
-    for name, value in {"SIZE_OF_WAVES": 1, "MANY_ENTRIES": 0, "TOL_OF_JUMPS": 0.0, "MOST_MEMORY": np.inf}.items():
+    for name, value in {
+        "SIZE_OF_WAVES": 1,
+        "MANY_ENTRIES": 0,
+        "OF_JUMPS": (0.0, 0.0, 1e-10),
+        "MOST_MEMORY": np.inf,
+    }.items():
         monkeypatch.setattr(settings, name, value)
 
 

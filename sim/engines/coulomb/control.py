@@ -63,6 +63,9 @@ DECAY = 0.9
 #: about as far below it. With 0.002, 100 to 400 dense blocks took 5 to 16% more time at 1e-10, with errors of 3e-14
 #: where they are 2e-13 now.
 PASSED_ON = 0.02
+#: That of fewer blocks than `CARRIED`: with 0.02 short sticks of a slow block that a fast one shakes were taken for
+#: touches.
+OF_FEW = 0.002
 #: The fewest blocks with which events are carried over. With 10 a new expansion at each took 0.9 of the time, with 50
 #: 0.8 to 1, with 200 1.2 to 1.3, with 400 2.1 to 2.6 times as long.
 CARRIED = 64
@@ -130,6 +133,12 @@ class Goal(NamedTuple, Generic[course.Number]):
 def next_window(clock: Floats, remaining: float) -> float:
     """Length of the next window."""
     return min(remaining, REACH * clock[EXPOSURE] / clock[CUTS])
+
+
+@inner
+def passed_on(n: int) -> float:
+    """The share of the error allowed that n blocks may leave out at an event."""
+    return PASSED_ON if n >= CARRIED else OF_FEW
 
 
 @inner

@@ -167,7 +167,7 @@ def _gather(
     first, count, ties = 0, 1, 0
     ends[0] = count
     # the error of w if the update ends here, over the one allowed; z of the last ties changes from this order on
-    share, lowest = 0.5 * jump * left / (control.PASSED_ON * allowed), 2
+    share, lowest = 0.5 * jump * left / (control.passed_on(len(mode)) * allowed), 2
     while share > 1.0 and first < count and lowest <= order:
         for a in range(first, ends[ties]):
             j = members[a]

@@ -197,7 +197,7 @@ def _weakens_less(
         x = law.steepness * mode[i] * (series[1, i] - model.belt_speed[i])
         least = max(x - change, 0.0)
         rest = drop * _shape_of(law.pieces, law.law, least)
-        if change > control.RISING * order and rest > control.PASSED_ON * allowed:
+        if change > control.RISING * order and rest > control.OF_FEW * allowed:
             return False
     return True
 
@@ -437,7 +437,8 @@ def error_after(
             high = min(order * power * step * high, window.allowed)
             damped = min(abs(damping[i]) * step, reach) if model.cross is None else reach
             left_out = max(left_out, damped / order * high + coupled * (low + high))
-    share = control.PASSED_ON + (control.LIKELY * control.ROUNDED_OFF if len(model.pairs.single_panels) > 0 else 0.0)
+    share = control.passed_on(len(damping))
+    share += control.LIKELY * control.ROUNDED_OFF if len(model.pairs.single_panels) > 0 else 0.0
     passed = min(1.0, step / window.span)
     carried = share * window.allowed * (passed**5 if model.cross is None else passed * passed)
     rounding = ROUNDING * window.allowed / goal.tol
@@ -614,7 +615,7 @@ def correct(
     expansion.side[:] = 0
     if new != 0:
         expansion.zeros[i] = 2 if was_stuck and model.static[i] == model.friction[i] else 1
-    h, n_products = _change_others(model, expansion, order, h, control.PASSED_ON * allowed)
+    h, n_products = _change_others(model, expansion, order, h, control.passed_on(len(column)) * allowed)
     for k in (order, order - 1):  # two, since one can vanish by parity, as in `expand`
         tail = k * abs(series[k, i]) * h ** (k - 1)
         if tail > allowed:
