@@ -214,9 +214,16 @@ class Opened:
 
     @property
     def lost(self) -> list[str]:
-        """The shards whose files are gone or have another size than was written, in the order of their names."""
+        """The shards whose files are gone or have another size than was written, in the order of their names.
+
+        Raises `StoreError` if that cannot be told.
+        """
         shards = dict(sorted(self.manifest.shards.items()))
-        sizes = self.place.sizes([f"{DATA}/{name}" for name in shards])
+        try:
+            sizes = self.place.sizes([f"{DATA}/{name}" for name in shards])
+        except OSError as error:
+            why = f"{error.strerror}); {self.place.remedy(error)}"
+            raise StoreError(f"{self.place}: shards cannot be read ({why}, then try again") from error
         return [name for name, size in zip(shards, sizes, strict=True) if size != shards[name].bytes]
 
     def again(self) -> Opened:

@@ -92,7 +92,8 @@ def _sweep(parent: str) -> None:
         folder = os.open(parent, os.O_RDONLY | os.O_DIRECTORY)
         try:
             for name in os.listdir(folder):
-                if name.startswith(_PREFIX):
+                # what `mkdtemp` adds has no hyphen: else it is of a machine whose name only begins as this one's
+                if name.startswith(_PREFIX) and "-" not in name.removeprefix(_PREFIX):
                     _remove_left(folder, name)
         finally:
             os.close(folder)

@@ -28,17 +28,27 @@ from stickslip.sim.kernels.digest import kernel_digest
 _PATIENCE = 180.0
 _DIGEST_SIZE = hashlib.sha256().digest_size
 _ENDING = ".nbc"
+#: Where numba reads settings too, in the working directory, whoever wrote them.
+_SETTINGS = ".numba_config.yaml"
 MOST_LINKS = 40  # as Linux follows them
 # a directory may be passed without the right to list it; macOS has no such descriptor
 PASS = os.O_DIRECTORY | os.O_NOFOLLOW | (os.O_PATH if sys.platform == "linux" else os.O_RDONLY)
 
 
 class CacheError(Exception):
-    """Others could write the kernel cache. The message says which directory or file it is, and what to do."""
+    """Others could write the kernel cache, or change kernels. The message says by which file, and what to do."""
 
 
 def cache_directory() -> Path:
-    """Where compiled kernels are kept: ``$NUMBA_CACHE_DIR`` or the user's cache, below it ``stickslip/<digest>``."""
+    """Where compiled kernels are kept: ``$NUMBA_CACHE_DIR`` or the user's cache, below it ``stickslip/<digest>``.
+
+    Raises `CacheError` if a file in the working directory changes what is compiled.
+    """
+    if os.path.isfile(_SETTINGS):
+        raise CacheError(
+            f"{os.path.abspath(_SETTINGS)}: expected no file of this name where kernels are compiled, as numba reads "
+            "settings there that change numbers; remove it, or work in another directory"
+        )
     base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "stickslip" / kernel_digest()
 

@@ -11,6 +11,8 @@ from pathlib import Path
 _SOURCES = Path(__file__).parent.parent
 #: The rooms that kernels are compiled from: none calls what runs are shown, followed or explained by.
 _COMPILED = ("engines", "kernels", "numerics", "systems")
+#: Variables of numba that change no machine code; all others, such as ``NUMBA_OPT``, are taken to.
+_NO_CODE = {"NUMBA_CACHE_DIR", "NUMBA_DISABLE_JIT", "NUMBA_NUM_THREADS"}
 
 
 @cache
@@ -25,8 +27,10 @@ def source_digest() -> str:
 
 @cache
 def kernel_digest() -> str:
-    """Digest of the sources and the version of numba (numba itself adds the CPU to its keys)."""
-    return hashlib.sha256(f"{version('numba')} {source_digest()}".encode()).hexdigest()[:16]
+    """Digest of the sources, and of numba's version and variables (numba itself adds the CPU to its keys)."""
+    names = sorted(name for name in os.environ if name.startswith("NUMBA_") and name not in _NO_CODE)
+    settings = [f"{name}={os.environ[name]}" for name in names]
+    return hashlib.sha256(" ".join([version("numba"), source_digest(), *settings]).encode()).hexdigest()[:16]
 
 
 def is_compiled() -> bool:

@@ -91,6 +91,16 @@ def test_damage_is_found_and_only_that_is_computed_again(scene, finished, conten
     assert objects_of(memory) == content(finished) | {"data/notes.txt": b"mine"}
 
 
+def test_a_store_that_is_lost_before_shards_are_counted_is_told(stored, monkeypatch):
+    def failing(*_):
+        raise OSError(5, "Service is unable to handle request")
+
+    monkeypatch.setattr(object_store.Prefix, "sizes", failing)
+    words = r"memory://bucket/out: shards cannot be read \(Service is .*\); check the address.*, then try again"
+    with pytest.raises(StoreError, match=words):
+        status(stored)
+
+
 def test_a_lost_manifest_is_made_again_from_the_record(scene, finished, content, memory, monkeypatch):
     run_ensemble(scene, OUT, workers=0)
     del memory["/bucket/out/manifest.json"]

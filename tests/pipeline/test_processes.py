@@ -173,14 +173,16 @@ def test_what_killed_processes_left_is_swept_and_nothing_else(tmp_path):
     (left / "folder" / "link").symlink_to(outside)
     file = tmp_path / f"{left.name}file"
     file.write_text("no directory")
+    elsewhere = tmp_path / "-2-".join(left.name.rsplit("-", 1))  # of another machine
+    elsewhere.mkdir()
     with beside(tmp_path, "input()") as living:
         its = Path(living.stdout.readline().strip())
         assert not left.exists()
         with scratch(str(tmp_path)) as own:
             assert Path(own.path).stat().st_mode & 0o777 == 0o700
-            assert set(tmp_path.iterdir()) == {outside, link, file, its, Path(own.path)}
+            assert set(tmp_path.iterdir()) == {outside, link, file, elsewhere, its, Path(own.path)}
         living.communicate("\n")
-    assert set(tmp_path.iterdir()) == {outside, link, file}
+    assert set(tmp_path.iterdir()) == {outside, link, file, elsewhere}
     assert (outside / "folder").is_dir()
 
 

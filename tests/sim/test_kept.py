@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from stickslip.sim.kernels.cache import CacheError, CacheFiles
+from stickslip.sim.kernels.digest import kernel_digest
 from tests.processes import python, until
 from tests.scenes import COULOMB, ensemble
 
@@ -315,3 +316,24 @@ def test_a_worker_elsewhere_does_not_make_failed_members_of_it(monkeypatch):
     with pytest.raises(CacheError, match="/scratch/x"):
         worker.load_kernels(members)
     assert str(pickle.loads(pickle.dumps(CacheError("a")))) == "a"
+
+
+@pytest.mark.parametrize("settings", ["opt: '0'", "disable_jit: 1", "opt: ["])
+def test_settings_of_numba_in_the_working_directory_are_refused(top, settings):
+    """Anybody may have put them there, and kernels are compiled and kept as they say."""
+    (top / ".numba_config.yaml").write_text(settings)
+    (top / "scene.toml").write_text(ensemble([3], 2.0, 1, COULOMB))
+    words = ["-P", "-m", "stickslip", "run", "scene.toml", "--out", "out", "--workers", "1"]
+    done = python(*words, cwd=top, env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}, timeout=500)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"stickslip: {top}/.numba_config.yaml: expected no file of this name")
+
+
+def test_kernels_are_kept_by_the_settings_that_they_were_compiled_with(monkeypatch):
+    digests = [kernel_digest.__wrapped__()]
+    for name in ("NUMBA_NUM_THREADS", "NUMBA_OPT", "NUMBA_BOUNDSCHECK"):
+        monkeypatch.setenv(name, "1")
+        digests.append(kernel_digest.__wrapped__())
+    assert digests[0] == digests[1]
+    assert len(set(digests)) == 3
