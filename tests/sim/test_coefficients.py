@@ -242,6 +242,14 @@ def test_a_kink_is_an_end_of_pieces():
     assert run.events.t[0] == pytest.approx(np.log(0.7 / 0.3) + np.log(1.4 / 0.3), rel=1e-8)
 
 
+def test_a_table_is_passed_at_once_where_springs_pull_by_more_than_friction_changes_their_last_digit():
+    """z = z0 cos t to rounding, in steps of the swing and not of the pieces."""
+    law, z0 = Table([0.0, 0.1, 0.3, 1.0], [1.0, 0.8, 0.7, 0.9]), 1e16
+    run = simulate(System([[1.0]], 0.0, 1.0, -0.2, weakening=law), z0, 0.0, 1.0)
+    assert run.z[0] == pytest.approx(z0 * np.cos(1.0), rel=1e-13)
+    assert run.stats.n_steps < 10
+
+
 @numba.njit
 def leaving(pieces, series, x0):
     return left_at(pieces, series, 1.0, x0, 0, 3, 1.0)

@@ -47,6 +47,14 @@ def test_one_block_on_the_belt(force, mode):
     assert assert_follows_reference(system, z0, -0.5, 3.0).initial_mode == (mode,)
 
 
+@pytest.mark.parametrize("v", [-0.5, 0.5])
+def test_a_block_without_friction_on_the_belt_goes_to_the_side_to_which_its_force_will_pull(v):
+    """F = 0 = m: the first derivative of F decides between both sides. z = v sin t."""
+    run = simulate(System([[1.0]], 0.0, 0.0, v), 0.0, v, 3.0, **EXACT)
+    assert (run.events.initial_mode.tolist(), listed(run)) == ([-np.sign(v)], [])
+    assert (run.z[0], run.w[0]) == pytest.approx((v * np.sin(3.0), v * np.cos(3.0)), abs=1e-13)
+
+
 def test_a_force_beyond_mu_by_more_than_rounding_lets_go():
     """F - mu = e: e'' = -k e from e = 2e-13, e' = k v, on a belt so slow that it takes a while."""
     k, v = 0.5, -2e-13
@@ -299,6 +307,15 @@ def test_a_motion_that_has_decayed_to_nothing_goes_on(rng):
         run = simulate(System(np.zeros((2, 2)), damping, 0.0, 0.0), 0.0, [1.0, 0.0], t_end, stop_early=False)
         assert run.outcome == "finished"
         assert run.z == pytest.approx([1.0 / damping[0], 0.0], rel=1e-9)
+
+
+def test_many_blocks_decay_beyond_what_float32_can_be_scaled_to():
+    """z'' + 4 z' + 3 z = 0 of 48 alike, z = z0 exp(-t): products are in single precision while they may be."""
+    times, z0 = np.linspace(1.0, 45.0, 12), 1e-290
+    run = simulate(System(np.full((48, 48), 3.0 / 48), 4.0, 0.0, 0.0), z0, -z0, 45.0, t_eval=times, stop_early=False)
+    assert (
+        np.abs(run.samples.z - z0 * np.exp(-times)[:, np.newaxis]).max() < 1e-300
+    )  # the least error that is allowed
 
 
 @pytest.mark.parametrize("engine", [{}, {"engine": "sigmoid", "eps": 0.01}])

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.sparse import csc_array
 
 from stickslip.sim import System, simulate
 
@@ -114,8 +115,9 @@ ONE_BLOCK = ((0.29075098367384344, 0, -1), (3.231881443452085, 0, 0), (4.1047215
 
 def several():
     five = tuple((t, block, mode) for t, _, mode in ONE_BLOCK for block in range(5))
-    copies = System(0.5 * np.eye(5) + 0.1, 0.1, 1.0, -0.2)
-    yield case("five identical blocks", copies, 3.0, 1.0, 20.0, (1,) * 5, five)
+    for store, word in ((np.array, ""), (csc_array, ", in a sparse K")):
+        copies = System(store(0.5 * np.eye(5) + 0.1), 0.1, 1.0, -0.2)
+        yield case("five identical blocks" + word, copies, 3.0, 1.0, 20.0, (1,) * 5, five)
     # a half swing loses 2 mu / K
     swing = tuple(
         (math.pi * k, block, (0 if k == 2 else 1) * sign) for k in (1, 2) for block, sign in enumerate((1, -1))
@@ -139,6 +141,32 @@ def crossings(omega, ratio, t_end):
                 yield t, 1, mode
 
 
+def among(name, v, friction, z0, w0, t_end, modes, events):
+    """Uncoupled blocks, K = 1 and R = 0, alone, and beside others on the belt, where events are passed on."""
+    for rest, store, word in (
+        (0, np.array, ""),
+        (63, np.array, " of many"),
+        (63, csc_array, " of many, in a sparse K"),
+    ):
+        stiffness = np.diag(np.r_[np.ones(len(modes)), np.zeros(rest)])
+        system = System(store(stiffness), 0.0, np.r_[friction, np.ones(rest)], v)
+        start = np.r_[z0, np.zeros(rest)], np.r_[w0, np.full(rest, v)]
+        yield case(name + word, system, *start, t_end, (*modes, *[0] * rest), events)
+
+
+def at_the_edge():
+    """Where a block comes to its belt |F| = m, or F' is as small as the error of F: derivatives of F decide."""
+    size, enters = math.sqrt(4.04), math.atan(0.1)  # z = -1 + size cos t passes 1 at the speed -0.2, t = atan 0.1
+    events = ((enters, 0, 0), (enters + 10.0, 0, 1))
+    yield from among("carried in from the edge", -0.2, 1.0, size - 1.0, 0.0, 11.0, (1,), events)
+    start, events = (-1.0 + size * math.cos(1.0), size * math.sin(1.0)), ((1.0 - enters, 0, -1),)
+    yield from among("carried out from the edge", 0.2, 1.0, *start, 5.0, (1,), events)
+    # z = -1 + 2^-27 (1 - t / 2), beside a swing of 1000 whose error F' is below
+    v = -(2.0**-28)
+    start = [-1.0 + 2.0**-27, -1e3 * math.cos(0.3)], [v, 1e3 * math.sin(0.3)]
+    yield from among("leaves a belt that hardly moves", v, [1.0, 0.0], *start, 2.5, (0, 1), ((2.0, 0, 1),))
+
+
 def extremes():
     for scale in (1e8, 1e-8):
         system = System([[1.0]], 0.1, scale, -0.2 * scale)
@@ -158,7 +186,7 @@ def extremes():
     )
 
 
-CASES = {one.name: one for some in (grazing, free, edges, several, extremes) for one in some()}
+CASES = {one.name: one for some in (grazing, free, edges, several, at_the_edge, extremes) for one in some()}
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -9,6 +9,8 @@ import pytest
 from scipy.interpolate import BPoly, PPoly
 
 from stickslip.sim.engines.coulomb.taylor import _known_step
+from stickslip.sim.engines.waveform.layout import ORDER
+from stickslip.sim.engines.waveform.pieces import _NEVER, _first_fall, _series_of_u
 from stickslip.sim.kernels.compile import kernel
 from stickslip.sim.numerics.arithmetic import aligned_zeros
 from stickslip.sim.numerics.horner import shift_rows, values_and_slopes
@@ -42,6 +44,54 @@ def test_no_root_is_lost_or_made_up_where_rounding_decides_on_which_side_of_a_bo
         found = found_in(coefficients, 8)
         assert len(found) == len(inside), planted
         assert np.abs(found - inside).max(initial=0.0) < 1e-10
+
+
+@pytest.mark.parametrize("touch", [0.028, 0.173, 0.179])
+def test_a_touch_that_rounding_has_on_both_sides_of_a_border_counts_once(touch):
+    """(x - touch)^2, as rounded, ends one interval with a root and has one at the start of the next."""
+    assert found_in(np.array([touch * touch, -2.0 * touch, 1.0]), 8).tolist() == [pytest.approx(touch, abs=1e-8)]
+
+
+@kernel
+def falls_at(poly, noise, places):
+    return _first_fall(poly, len(poly) - 1, noise, places)
+
+
+@pytest.mark.parametrize(
+    ("poly", "place"),
+    [
+        ([0.25, -1.0], 0.25),
+        ([0.0, 0.5, -1.0], 0.5),
+        ([1.0, -0.5], _NEVER),
+        ([1.0, -1.0 + 2.0**-40], 1.0),  # but for noise
+        ([0.0, 0.0, 0.0], _NEVER),
+        ([0.0, -1.0, 3.0], 0.0),
+        ([-(2.0**-40), -1.0, 3.0], 0.0),
+        ([-0.25, 2.5, -4.0], 0.5),  # up at 1/8
+        ([-0.25, 2.5], _NEVER),
+        ([-1.0, 0.5], _NEVER),
+    ],
+)
+def test_the_first_place_at_which_a_polynomial_falls_through_zero(poly, place):
+    """One that begins below zero has fallen unless it rises first, and then falls where it comes down again."""
+    assert falls_at(np.array(poly), 2.0**-39, np.empty(8)) == pytest.approx(place, abs=1e-12)
+
+
+@kernel
+def slip_of(force, drag, u, series):
+    return _series_of_u(force, 1.0, drag, force[0], u, 1.0, 0.0, series)
+
+
+@pytest.mark.parametrize(("drag", "is_cut"), [(1.0, True), (-1.0, True), (1e-3, False)])
+def test_the_series_of_slip_is_that_of_the_linear_equation(drag, is_cut):
+    """u' = -drag u - 2 + 3 x, without friction, from u = 0.5: to its last order, or to where terms are rounding."""
+    series = np.empty(ORDER + 1)
+    order = slip_of(np.array([2.0, -3.0, 0.0, 0.0, 0.0, 0.0]), drag, 0.5, series)
+    a = 3.0 / drag
+    b = -(2.0 + a) / drag
+    assert (order == ORDER) == is_cut
+    size = 4.0 if is_cut else 1e7  # a and b cancel
+    assert series[: order + 1].sum() == pytest.approx(a + b + (0.5 - b) * np.exp(-drag), abs=1e-14 * size)
 
 
 @kernel

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from stickslip import System, draw_system, simulate
+from stickslip import Harmonic, System, draw_system, simulate
 
 TOL, T = 1e-11, 20.0
 
@@ -46,6 +46,21 @@ def test_sparse_and_dense_have_the_same_events(trial, rng):
     np.testing.assert_array_equal(modes, wanted)
     np.testing.assert_allclose(times, known, atol=1e-6)  # tol, and what T amplifies it by
     np.testing.assert_allclose(few.z, all_.z, atol=1e-6)
+
+
+@pytest.mark.parametrize(("coupling", "n", "force"), [("grid", 49, None), ("chain", 70, 1.3)])
+def test_sparse_and_dense_have_the_same_events_where_many_are_tied_or_a_force_acts(coupling, n, force, rng):
+    """More are tied to an event than a local update takes; under a force there is none, but K is read by columns."""
+    sparse = draw_system(coupling, n=n, seed=1, kappa=1.0, leaf=0.3, damping=0.1, belt_speed=-0.3)
+    if force:
+        sparse = sparse.changed(force=Harmonic(0.3 * rng.normal(size=n), force))
+    dense, z0 = sparse.changed(stiffness=sparse.stiffness.toarray()), rng.uniform(-1.0, 1.0, n)
+    few, all_ = (simulate(system, z0, -0.1, 5.0, tol=TOL, stop_early=False) for system in (sparse, dense))
+    (blocks, modes, times), (others, wanted, known) = by_block(few), by_block(all_)
+    assert (blocks.tolist(), modes.tolist()) == (others.tolist(), wanted.tolist())
+    assert len(blocks) > n
+    np.testing.assert_allclose(times, known, atol=1e-8)
+    np.testing.assert_allclose(few.z, all_.z, atol=1e-9)
 
 
 def test_what_rests_at_its_bound_leaves_with_the_block_that_it_is_tied_to():

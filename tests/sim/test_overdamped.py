@@ -150,6 +150,16 @@ def test_a_light_block_that_nothing_pulls_keeps_nobody_from_slow_motion(rng):
         assert run.stats.n_steps < 1000
 
 
+@pytest.mark.parametrize(("stiffness", "t_end"), [(1.0, 3.0), (1e6, 0.01)])
+def test_a_light_block_at_rest_is_pulled_along_by_a_heavily_damped_one(stiffness, t_end):
+    """F is 0 as it starts, so that nothing tells its rate: that of the slow motion is far too slow for its series."""
+    damping = 1e5
+    k, start = np.array([[stiffness, -stiffness], [0.0, 1.0]]), np.array([1.0, 1.0, 0.0, -1.0 / damping])
+    run = simulate(System(k, [0.5, damping], 0.0, -5.0), start[:2], start[2:], t_end, tol=1e-12)
+    expected = expm(t_end * np.block([[np.zeros((2, 2)), np.eye(2)], [-k, -np.diag([0.5, damping])]])) @ start
+    np.testing.assert_allclose(np.r_[run.z, run.w], expected, rtol=0, atol=1e-11)
+
+
 def test_slow_motion_past_the_belt_is_no_motion_before_it(rng):
     """A block a hair before its belt, which a ramp carries past it: by its series, less exact, it is past already."""
     for _ in range(4):

@@ -102,6 +102,18 @@ def test_a_block_that_grows_or_fades_within_a_step_is_followed_throughout(by_wav
     assert (np.abs(run.samples.z[:, 0] - z) / np.maximum(1.0, np.abs(z))).max() < BOUND * tol
 
 
+@pytest.mark.parametrize("damping", [20.0, 50.0])
+def test_a_block_that_creeps_meets_its_belt_within_a_step_far_longer_than_its_damping_takes(by_waves, damping):
+    """K = 1, on its slow motion w = w0 exp(-s t), of s + 1 / s = R: a series about an instant is good for 1 / R."""
+    v, mu, tol, s = 0.01, 0.2, 1e-5, 2.0 / (damping + np.sqrt(damping**2 - 4.0))
+    w0 = s * (2.0 - mu)
+    caught = np.log(w0 / v) / s
+    run = simulate(System([[1.0]], damping, mu, v), -2.0, w0, caught + 3.0, tol=tol, stop_early=False)
+    assert (run.stats.method, run.events.mode.tolist()) == (WAVES, [0])
+    assert abs(run.events.t[0] - caught) < BOUND * tol * w0 / (s * v)  # the error of w over w'
+    assert run.z[0] == pytest.approx(-mu - v / s + 3.0 * v, abs=BOUND * tol)
+
+
 def test_a_block_that_is_let_go_soon_after_the_start_leaves_then(by_waves, rng):
     """F passes static friction at the rate K v; nothing else moves."""
     v, soon = 0.2, 10.0 ** rng.uniform(-8, -3)
