@@ -232,6 +232,16 @@ def test_sql_agrees_with_arrow(finished):
     assert events["k"][0] == frame["n_events"].sum()
 
 
+def test_the_initial_mode_beside_an_event_in_sql_is_that_of_its_block(finished, scene):
+    """Lists count from one there, and blocks from zero."""
+    for member in expand(scene)[::5]:
+        events = query.events(finished, member.member_id)
+        of_member = f"FROM events WHERE member_id = '{member.member_id}'"
+        found = query.sql(finished, f"SELECT block, initial_mode {of_member}")
+        assert len(found) == len(events) > 0
+        assert (found.initial_mode == events.initial_mode[found.block]).all()
+
+
 def test_sql_nulls_are_not_nan(finished):
     drawn = query.sql(finished, "SELECT perturbation_draw AS d FROM members")["d"]
     assert drawn.dtype == pd.Int32Dtype()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BPoly, PPoly
 
+from stickslip.sim.engines.coulomb.events import enclose
 from stickslip.sim.engines.coulomb.taylor import _known_step
 from stickslip.sim.kernels.compile import kernel
 from stickslip.sim.numerics.arithmetic import aligned_zeros
@@ -42,6 +43,23 @@ def test_no_root_is_lost_or_made_up_where_rounding_decides_on_which_side_of_a_bo
         found = found_in(coefficients, 8)
         assert len(found) == len(inside), planted
         assert np.abs(found - inside).max(initial=0.0) < 1e-10
+
+
+@numba.njit
+def reach_of(series, slips, h):
+    reach = np.empty(len(slips))
+    enclose(series, slips, len(series) - 1, h, reach, len(slips))
+    return reach
+
+
+@pytest.mark.parametrize("order", [4, 9, 17])
+def test_event_functions_leave_their_tangents_by_their_bound_at_most(order, rng):
+    """z' of a block that slips and F of one that sticks, to all orders: by all of it where no terms cancel."""
+    series, h = rng.uniform(0.1, 1.0, (order + 1, 2)), rng.uniform(0.2, 2.0)
+    z, force = (np.polynomial.Polynomial(column) for column in series.T)
+    far = [of(h) - of.coef[0] - of.coef[1] * h for of in (z.deriv(), force)]
+    for signs in (np.ones((order + 1, 2)), rng.choice([-1.0, 1.0], (order + 1, 2))):
+        np.testing.assert_allclose(reach_of(signs * series, np.array([1.0, 0.0]), h), far, rtol=1e-13)
 
 
 @kernel
