@@ -255,6 +255,14 @@ def test_the_code_says_what_is_missing(rng):
     assert enough.basis(drifting, 5000, 0.95).drift.value == pytest.approx(2.0, abs=0.1)
 
 
+def test_a_drift_is_excluded_by_two_tests_of_one_side_each():
+    """Ten systems whose mean drift is 0 with an error of 0.12: of 9 degrees of freedom, t is 1.83 and 2.26."""
+    rows = np.tile([[0.36], [-0.36]], (5, 1))
+    found = enough.basis(rows, 5000, 0.95, lambda sums: sums[:, 0] / sums[:, 1])
+    assert found.drift.high == pytest.approx(0.2715, abs=1e-4)  # beyond `MARGIN`
+    assert found.code == enough.ENOUGH
+
+
 # ------------------------------------------------------------------------------------------- planted studies
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
 import json
@@ -34,6 +35,25 @@ def test_a_file_of_the_users_is_no_module_of_ours(scene, tmp_path, monkeypatch):
     batch = Batch(0, expand(scene)[:2], scene.recording)
     here, there = compute(batch), compute_alone((batch, None))
     assert there.shard == here.shard
+
+
+def test_a_member_whose_process_dies_is_run_again_and_fails_if_that_dies_too(scene, monkeypatch):
+    batch = Batch(0, expand(scene)[:3], scene.recording)
+    names, begun = [member.member_id for member in batch.members], []
+
+    class Mortal(contextlib.nullcontext):
+        def __enter__(self):
+            return self
+
+        def __call__(self, function, members, recording):
+            begun.append(members[0].member_id)
+            if begun.count(begun[-1]) <= {names[0]: 1, names[1]: 2}.get(begun[-1], 0):
+                raise ChildDied("signal 9")
+            return function(members, recording)
+
+    monkeypatch.setattr("stickslip.pipeline.running.worker.Child", Mortal)
+    assert compute_alone((batch, None)).commit.entry.outcomes == {"finished": 2, "failed": 1}
+    assert begun == [names[0]] * 2 + [names[1]] * 2 + [names[2]]
 
 
 def hang(file):

@@ -232,6 +232,15 @@ def test_sql_agrees_with_arrow(finished):
     assert events["k"][0] == frame["n_events"].sum()
 
 
+def test_the_initial_mode_beside_an_event_in_sql_is_that_of_its_block(finished, scene):
+    """Lists count from one there, and blocks from zero."""
+    name = expand(scene)[0].member_id
+    events = query.events(finished, name)
+    found = query.sql(finished, f"SELECT block, initial_mode FROM events WHERE member_id = '{name}'")
+    assert len(found) == len(events) > 0
+    assert (found.initial_mode == events.initial_mode[found.block]).all()
+
+
 def test_sql_nulls_are_not_nan(finished):
     drawn = query.sql(finished, "SELECT perturbation_draw AS d FROM members")["d"]
     assert drawn.dtype == pd.Int32Dtype()

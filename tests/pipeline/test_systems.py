@@ -120,7 +120,7 @@ def test_all_formats_hold_the_same_system(tmp_path, arrays):
         assert np.array_equal(dense, k), name
 
 
-@pytest.mark.parametrize(("symmetry", "sign"), [("symmetric", 1.0), ("skew-symmetric", -1.0)])
+@pytest.mark.parametrize(("symmetry", "sign"), [("general", 0.0), ("symmetric", 1.0), ("skew-symmetric", -1.0)])
 def test_what_a_matrix_market_file_says_of_symmetry_is_done(symmetry, sign, tmp_path, arrays):
     k = arrays["stiffness"] + sign * arrays["stiffness"].T
     scipy.io.mmwrite(tmp_path / "a.mtx", k, symmetry=symmetry)

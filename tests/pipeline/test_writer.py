@@ -154,6 +154,36 @@ def test_a_line_that_a_crash_cut_short_spoils_no_other(tmp_path):
     assert (tmp_path / "lines").read_bytes() == b"one\nthree\n"
 
 
+def test_a_line_of_which_the_disk_takes_a_part_is_taken_back(tmp_path, monkeypatch):
+    """A disk that is nearly full takes what it has room for, which is no error."""
+    write = os.write
+    with Directory(tmp_path).record("lines") as append:
+        append(b"one\n")
+        monkeypatch.setattr(os, "write", lambda descriptor, line: write(descriptor, line[:2]))
+        with pytest.raises(OSError, match="No space left on device"):
+            append(b"two\n")
+        monkeypatch.undo()
+        append(b"three\n")
+    assert (tmp_path / "lines").read_bytes() == b"one\nthree\n"
+
+
+def test_a_lock_on_a_file_that_is_replaced_meanwhile_is_none(tmp_path, monkeypatch):
+    """Between our opening it and our locking it its owner removes the file, and another process makes it anew."""
+    lock, is_locked, tries = tmp_path / ".lock", directory.is_locked, []
+
+    def late(descriptor):
+        tries.append(descriptor)
+        if len(tries) == 1:
+            lock.unlink()
+            lock.write_text("")
+        return is_locked(descriptor)
+
+    monkeypatch.setattr(directory, "is_locked", late)
+    with Directory(tmp_path).own(), open(lock) as other, pytest.raises(BlockingIOError):
+        fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    assert len(tries) == 2
+
+
 def test_errors_name_a_file_by_its_path_alone(tmp_path):
     for act in (lambda: os.unlink(tmp_path / "a"), lambda: os.replace(tmp_path / "a", tmp_path / "b")):
         with pytest.raises(FileNotFoundError) as error, plain.filename(Path("there")):

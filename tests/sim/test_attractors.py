@@ -744,6 +744,12 @@ def test_growth_within_its_noise_is_none():
     assert not chaos.decays
 
 
+def test_the_error_of_a_growth_is_that_of_the_sum_of_its_parts():
+    """ln of a deviation grows by 3 and by 5 by turns in eight parts, whose standard deviation is (8 / 7)^(1/2)."""
+    steps = rate_of(np.arange(13.0), np.cumsum(np.where(np.arange(13) % 2, 3.0, 5.0)))
+    assert steps.error == pytest.approx(8.0 / np.sqrt(7.0), rel=1e-12)
+
+
 def test_what_a_deviation_grows_within_a_round_is_no_growth():
     """It comes near a cycle at -0.0005 a unit of time; within a round of eight events deviations vary by e^2."""
     stiffness = [

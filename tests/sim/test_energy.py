@@ -44,6 +44,15 @@ def test_a_block_that_rides_the_belt_takes_its_work():
     assert balance.heat[-1] == 0.0
 
 
+def test_a_belt_that_speeds_up_gives_a_heavy_block_its_kinetic_energy():
+    """K = 0, R = 0, m = 3, mu = 1: it rides a belt that goes from -0.1 to -0.5 in a time of 4, by a force of 0.3."""
+    system = System([[0.0]], 0.0, 1.0, Piecewise([0.0, 4.0], [-0.1, -0.5]), mass=3.0)
+    run, balance = run_with_energy(system, 0.0, -0.1, 4.0)
+    assert len(run.events) == 0
+    assert balance.belt[-1] == pytest.approx(1.5 * (0.25 - 0.01), rel=1e-12)
+    assert np.abs(balance.imbalance).max() < 1e-14
+
+
 @pytest.mark.parametrize("coupling", ["antisymmetric", "chain"])
 def test_the_balance_closes_over_thousands_of_events(coupling, rng):
     seed = int(rng.integers(2**32))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BPoly, PPoly
 
+from stickslip.sim.engines.coulomb.events import enclose
 from stickslip.sim.engines.coulomb.taylor import _known_step
 from stickslip.sim.engines.waveform.layout import ORDER
 from stickslip.sim.engines.waveform.pieces import _NEVER, _first_fall, _series_of_u
@@ -17,7 +18,7 @@ from stickslip.sim.numerics.horner import shift_rows, values_and_slopes
 from stickslip.sim.numerics.roots import roots, to_bernstein
 
 
-@numba.njit
+@kernel
 def found_in(coefficients, room):
     found = np.empty(room)
     return found[: roots(coefficients, len(coefficients) - 1, found)]
@@ -92,6 +93,23 @@ def test_the_series_of_slip_is_that_of_the_linear_equation(drag, is_cut):
     assert (order == ORDER) == is_cut
     size = 4.0 if is_cut else 1e7  # a and b cancel
     assert series[: order + 1].sum() == pytest.approx(a + b + (0.5 - b) * np.exp(-drag), abs=1e-14 * size)
+
+
+@kernel
+def reach_of(series, slips, h):
+    reach = np.empty(len(slips))
+    enclose(series, slips, len(series) - 1, h, reach, len(slips))
+    return reach
+
+
+@pytest.mark.parametrize("order", [4, 9, 17])
+def test_event_functions_leave_their_tangents_by_their_bound_at_most(order, rng):
+    """z' of a block that slips and F of one that sticks, to all orders: by all of it where no terms cancel."""
+    series, h = rng.uniform(0.1, 1.0, (order + 1, 2)), rng.uniform(0.2, 2.0)
+    z, force = (np.polynomial.Polynomial(column) for column in series.T)
+    far = [of(h) - of.coef[0] - of.coef[1] * h for of in (z.deriv(), force)]
+    for signs in (np.ones((order + 1, 2)), rng.choice([-1.0, 1.0], (order + 1, 2))):
+        np.testing.assert_allclose(reach_of(signs * series, np.array([1.0, 0.0]), h), far, rtol=1e-13)
 
 
 @kernel
@@ -196,7 +214,7 @@ def test_arrays_begin_with_a_line_of_the_cache(shape, dtype):
 PLAIN = namedtuple("PLAIN", "shape")(None)  # what is asked of an expansion
 
 
-@numba.njit
+@kernel
 def step_on(plain, order, last, before):
     return _known_step(plain, plain, order, last, before, 0.9, 1e-8)
 

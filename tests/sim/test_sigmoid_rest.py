@@ -93,3 +93,17 @@ def test_a_rest_that_repels_or_moves_is_not_certain(system):
     z = -np.tanh(abs(system.belt_speed) / 0.03) * system.kinetic(np.abs([system.belt_speed]))
     one, other = (simulate(system, z, 0.0, t_end, engine="sigmoid").stats.n_steps for t_end in (2e4, 4e4))
     assert other > 1.5 * one
+
+
+def test_no_collapse_is_certain_while_a_block_may_come_back_into_a_wide_layer():
+    """It swings about its rest, w from 0.925 down at the rate R / 2, and sticks within 0.1 of the belt's speed of 1.
+
+    Friction is the kinetic one there: what keeps a certificate away is the layer alone.
+    """
+    layer = {"eps": 0.01, "stick": "threshold", "threshold": 10.0, "rtol": 1e-9, "atol": 1e-9}
+    damping = 0.02
+    system = System([[1.0]], damping, 1.0, -1.0)
+    run = simulate(system, 0.925 - 1.0, 0.0, 60.0, engine="sigmoid", stop_early="always", **layer)
+    fastest = 0.925 * np.exp(-damping / 2 * (np.pi / 2 + 2 * np.pi * np.arange(9)))
+    assert (run.events.mode == 0).sum() == (fastest > 0.9).sum() == 1
+    assert run.t_collapse > run.events.t.max()

@@ -29,15 +29,18 @@ from stickslip.pipeline import Progress, load_scene, query
 from stickslip.pipeline.dataset import opened
 from stickslip.pipeline.dataset.opened import open_dataset
 from stickslip.pipeline.dataset.status import Pace, Tally
+from stickslip.pipeline.ensemble.member import Member
 from stickslip.pipeline.running import estimate
 from stickslip.pipeline.scene import scene as scene_module
 from stickslip.workflows import export
 from stickslip.workflows.commands import main
 from stickslip.workflows.commands.scenes import Scenes
+from stickslip.workflows.fresh import is_current
 from stickslip.workflows.progress import Watch
 from stickslip.workflows.reporting import compared, write
 from stickslip.workflows.scenes import find, shipped
 from tests.processes import python, seconds_of, until
+from tests.scenes import COULOMB, ensemble
 
 
 def test_run_leaves_data_and_a_report(dataset, capsys):
@@ -474,6 +477,34 @@ def test_what_no_driver_writes_is_no_lock(lock, dataset, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "6 of 6 done: " in said
     assert "running" not in said
+
+
+def test_a_run_in_which_a_member_fails_ends_with_an_error_and_how_to_run_that_alone(
+    here, tmp_path, monkeypatch, capsys
+):
+    def fragile(member, *arguments, task=Member.task):
+        if member.source.matrix == 1:
+            raise ZeroDivisionError("planted")
+        return task(member, *arguments)
+
+    (tmp_path / "scene.toml").write_text(ensemble(3, 2.0, 3, COULOMB))
+    words = [str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out"), "--workers", "1", "--no-report"]
+    with monkeypatch.context() as patch:
+        patch.setattr(Member, "task", fragile)
+        assert main(["run", *words]) == 1
+    error = capsys.readouterr().err
+    assert "failed  1: ZeroDivisionError: planted\n" in error
+    assert f"--only {query.members(tmp_path / 'out').member_id[1]}\n" in error
+    assert main(["run", *words, "--retry-failed"]) == 0
+
+
+@pytest.mark.parametrize(("old", "new"), [("t_burn = 1.0", "t_burn = 2.0"), ("A small", "Another")])
+def test_a_report_is_up_to_date_until_its_scene_asks_otherwise(old, new, dataset, tmp_path):
+    copy = shutil.copytree(dataset, tmp_path / "copy")
+    assert is_current(open_dataset(copy))
+    scene = copy / "scene.toml"
+    scene.write_text(scene.read_text().replace(old, new))
+    assert not is_current(open_dataset(copy))
 
 
 def test_the_status_of_a_dataset_that_has_lost_a_shard(dataset, tmp_path, capsys):

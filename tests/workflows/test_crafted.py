@@ -146,6 +146,15 @@ def test_a_list_that_is_missing_beside_its_siblings_is_found(tmp_path):
     assert problem.startswith(f"{shard}: episode_end: expected as many values as of episode_start")
 
 
+def test_a_first_block_that_is_none_is_found(tmp_path):
+    """Blocks are numbered from zero, in a column of one number a run as in one of lists."""
+    text = ensemble(3, 40.0, 2, seed=1, rest="[record]\nfirst_exit = true", analysis="t_burn = 1.0\ndt = 0.5")
+    run_ensemble(parse_scene(text), tmp_path, workers=0)
+    shard = crafted(tmp_path, lambda table: first(table, "first_exit_block", lambda _: 3))
+    (problem,) = verify(tmp_path)
+    assert problem.startswith(f"{shard}: first_exit_block: expected values from 0 to 2, got 3;")
+
+
 def test_a_manifest_is_told_in_a_line_whatever_it_names(place, capsys):
     manifest = read_manifest(place)
     name, shard = next(iter(manifest.shards.items()))

@@ -30,7 +30,7 @@ from stickslip.workflows.gallery.charts.speed_accuracy import (
     error_against_cost,
     products_at,
 )
-from stickslip.workflows.gallery.charts.trials import compared
+from stickslip.workflows.gallery.charts.trials import Reference, compared, referenced
 from tests.scenes import SIGMOID, ensemble
 
 TINY = """
@@ -226,6 +226,12 @@ def test_no_error_below_the_floor_is_claimed(monkeypatch, scene_file):
     (reference,) = (reference for reference in measured.references if reference.model == "sigmoid")
     assert row.is_bound
     assert row.error == reference.floor > 0
+
+
+def test_a_reference_that_is_checked_by_itself_is_known_to_rounding():
+    setting, problem = ("coulomb engine", 1e-6), peers.random_problem(0, 2, 1.0, 0.1, "one")
+    reference, solution = referenced(Reference(), setting, setting, problem)
+    assert reference.floor == np.spacing(np.abs(solution.z).max()) > 0
 
 
 def test_repeats_are_counted_and_their_spread_kept(monkeypatch, scene_file):

@@ -211,6 +211,13 @@ def test_static_law_has_the_planted_counts(target, roots, stable):
     assert sorted(m.kind for m in modes) == ["node", "node", "saddle", "saddle"]  # the fourth is a source
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_the_mode_and_the_saddle_of_the_static_law_that_meet_are_one(side):
+    law = StaticAboveKinetic(1.5)
+    ((meeting,),) = law.zeros(np.array([1.5 * side]), STUCK[:1])
+    assert meeting == pytest.approx(side * law.turning_point, rel=1e-7)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_subdivision_finds_planted_zeros(seed):
     """s_1 and s_2 products of 2 and 3 lines: the zeros are where a line of the one meets a line of the other."""
