@@ -18,7 +18,7 @@ from stickslip.sim.numerics.horner import shift_rows, values_and_slopes
 from stickslip.sim.numerics.roots import roots, to_bernstein
 
 
-@kernel
+@numba.njit
 def found_in(coefficients, room):
     found = np.empty(room)
     return found[: roots(coefficients, len(coefficients) - 1, found)]
@@ -95,7 +95,7 @@ def test_the_series_of_slip_is_that_of_the_linear_equation(drag, is_cut):
     assert series[: order + 1].sum() == pytest.approx(a + b + (0.5 - b) * np.exp(-drag), abs=1e-14 * size)
 
 
-@kernel
+@numba.njit
 def reach_of(series, slips, h):
     reach = np.empty(len(slips))
     enclose(series, slips, len(series) - 1, h, reach, len(slips))
@@ -214,7 +214,7 @@ def test_arrays_begin_with_a_line_of_the_cache(shape, dtype):
 PLAIN = namedtuple("PLAIN", "shape")(None)  # what is asked of an expansion
 
 
-@kernel
+@numba.njit
 def step_on(plain, order, last, before):
     return _known_step(plain, plain, order, last, before, 0.9, 1e-8)
 
