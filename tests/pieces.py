@@ -35,7 +35,7 @@ PIECES: dict[str, tuple[str, list[tuple[str, str, str]]]] = {
     "wide lanes": ("waves smooth", [(LANES, "WIDTH = 8 if", "WIDTH = 4 if")]),
     "repeated substeps": ("smooth", [("engines/waveform/substeps.py", "i, work.begins[i], -1", "i, -1, -1")]),
     "events carried over": ("series", [("engines/coulomb/step.py", "len(z) >= control.CARRIED", "len(z) < 0")]),
-    "events passed on": ("series", [("engines/coulomb/taylor.py", "if k == 3 and is_w", "if k < 0 and is_w")]),
+    "events passed on": ("series", [("engines/coulomb/taylor.py", "if k != 3 or", "if k != -3 or")]),
     "float32 in series": ("series", [(PRODUCTS, "if _may_be_single(row_sums[0]):", "if False:")]),
     "moving blocks alone": ("series", [(PRODUCTS, "if x[j] != 0.0 or u[j] != 0.0:", "if True:")]),
     "eight columns at once": ("series", [(PRODUCTS, "eights = m - m % 8", "eights = 0")]),

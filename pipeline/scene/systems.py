@@ -72,9 +72,8 @@ class SystemFile:
     is_graph: bool  #: whether it holds a graph, and no K
     copy: int  #: how many files before it are equal to it: realisations that came out the same
     facts: FileTable = field(compare=False)  #: what it held when the scene was read
-    parts: tuple[FilePart, ...] = field(
-        compare=False
-    )  #: the file itself, and those of more arrays: `sha256` is of all
+    #: The file itself, and those of more arrays: `sha256` is of all.
+    parts: tuple[FilePart, ...] = field(compare=False)
 
     @property
     def word(self) -> str:

@@ -255,7 +255,7 @@ class Drive:
 
         Also puts sums of z, the second row of `all_stuck`, at the s in the first, into the user's frame and time.
         """
-        if self._bounds.shape[1] == 1 and not self._moves:
+        if self._bounds.shape[1] == 1:  # one piece, in which no belt changes its speed
             only, last = self._bounds[:2, 0].tolist()
             all_stuck[0] = times(only, last, all_stuck[0])
             return np.zeros(len(s), np.intp), times(only, last, s)

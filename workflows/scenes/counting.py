@@ -42,7 +42,14 @@ from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, noun
 from stickslip.analysis.models import pool
 from stickslip.analysis.models.motion import lulls
-from stickslip.analysis.questions.slips.cascades import effects, gamma_shifted, of_pool, over_coin, sum_of
+from stickslip.analysis.questions.slips.cascades import (
+    effects,
+    gamma_shifted,
+    mean_n_stick,
+    of_pool,
+    over_coin,
+    sum_of,
+)
 from stickslip.analysis.series import nulls
 from stickslip.analysis.series.cascades import Window, spans
 from stickslip.analysis.series.nulls import BlockSteps
@@ -83,7 +90,7 @@ class Counted:
     @property
     def variance(self) -> float:
         """n q (1 - q), where a share q of the blocks sticks."""
-        mean = float(ratio(self.rows[:, 6:8].sum(axis=0, keepdims=True))[0])
+        mean = float(mean_n_stick(self.rows.sum(axis=0, keepdims=True))[0])
         return mean * (1 - mean / self.n)
 
     @property

@@ -139,9 +139,14 @@ def over_shifted(rows: np.ndarray) -> np.ndarray:
     return gamma(rows) / gamma_shifted(rows) - 1
 
 
+def mean_n_stick(rows: np.ndarray) -> np.ndarray:
+    """The mean n_stick."""
+    return ratio(rows[:, 6:8])
+
+
 def of_pool(n: int, rows: np.ndarray, number: Callable[[int, float], float] = pool.gamma) -> np.ndarray:
     """A number of n independent two-state blocks of which as many stick; undefined if all or none always stick."""
-    means = ratio(rows[:, 6:8])
+    means = mean_n_stick(rows)
     if not all(pool.is_one(n, mean) for mean in means):
         raise Undefined("all blocks always stick, or always slip")
     return np.array([number(n, mean) for mean in means])

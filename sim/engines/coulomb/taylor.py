@@ -561,7 +561,6 @@ def _change_others(model: Model, expansion: Expansion, order: int, h: float, lim
     column, change, sizes = expansion.column, expansion.change, expansion.sizes
     passed, more = expansion.forces[:2], expansion.forces[2:4]  # their first two coefficients, and K times these
     last[:] = 0.0
-    has_single = len(model.pairs.single_panels) > 0
     row_sum, passed_on, power, degree, n_products = largest(model.row_sums), 0.0, h**5, 5.0, 0
     for k in range(2, order - 1):
         factor, has_more = -1.0 / ((k + 2) * (k + 1)), n_products > 0 and k < 6
@@ -575,9 +574,9 @@ def _change_others(model: Model, expansion: Expansion, order: int, h: float, lim
         if k < 4:
             copy(last, passed[k - 2])
             sizes[k - 2] = largest(last)
-        error = row_sum * passed_on / degree
-        is_worth_it = has_single and limit < error < limit / SINGLE_ERROR and min(sizes[0], sizes[1]) > control.TINY
-        if k == 3 and is_worth_it:
+        if k != 3 or len(model.pairs.single_panels) == 0 or min(sizes[0], sizes[1]) <= control.TINY:
+            continue
+        if limit < row_sum * passed_on / degree < limit / SINGLE_ERROR:
             m = list_moving(passed[0], passed[1], expansion.room.columns)
             two_single_products(model.pairs, expansion.room, m, passed, sizes, more)
             passed_on, degree, n_products = 0.0, 7.0, 2
